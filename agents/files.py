@@ -1,7 +1,7 @@
 """Reading files that may be damaged, importing objects by name, and locking folders; for runs, policies and sweeps.
 
 A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
-:mod:`jackbox_env.files` writes files.
+:mod:`jackbox_env.tools.files` writes files.
 """
 
 from __future__ import annotations

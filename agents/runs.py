@@ -31,7 +31,7 @@ from typing import Any
 
 from agents.files import DamagedFileError, parsing, read_bounded, report_skipped, unpacked
 from agents.settings import TrainSettings
-from jackbox_env.files import write_json
+from jackbox_env.tools.files import write_json
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
 BEST, MODEL = "best_model.zip", "model.zip"

@@ -13,13 +13,13 @@ import gymnasium as gym
 
 from agents.files import imported, is_object
 from jackbox_env import Scene
-from jackbox_env import checks as check
-from jackbox_env.action import ACTIONS, repeat_of
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
-from jackbox_env.observation import OBSERVATIONS
-from jackbox_env.randomization import NUMBERS
+from jackbox_env.model.action import ACTIONS, repeat_of
+from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.randomization import NUMBERS
+from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, chosen, explicit, resolve
-from jackbox_env.tasks import TASKS
+from jackbox_env.tools import checks as check
 
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro

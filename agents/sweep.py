@@ -57,8 +57,8 @@ from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings, with_objec
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
-from jackbox_env import checks as check
-from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json, write_text
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
 SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

@@ -29,8 +29,8 @@ from agents.sweep import (
     made_with,
     on_cores,
 )
-from jackbox_env import checks as check
 from jackbox_env.exact.compiler import cache_folders
+from jackbox_env.tools import checks as check
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
 AHEAD = 8  # trials submitted for each core of the cluster: short ones do not wait for this process

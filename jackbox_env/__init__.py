@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
 
-from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.states import State
+from jackbox_env.model.scene import Chirp, Drive, Scene
+from jackbox_env.model.states import State
 
 if TYPE_CHECKING:
-    from jackbox_env.action import Action
-    from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.envs.single import JackInBoxEnv
+    from jackbox_env.envs.vector import JackInBoxVectorEnv
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.measure.fitting import fit
     from jackbox_env.measure.recordings import Recording
     from jackbox_env.measure.result import Fit
-    from jackbox_env.observation import Observation
+    from jackbox_env.model.action import Action
+    from jackbox_env.model.observation import Observation
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.rollouts import Rollout, rollout
     from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
     from jackbox_env.simulators.fidelity import Setting
-    from jackbox_env.vector_env import JackInBoxVectorEnv
 
 __version__ = "0.1.0"
 
@@ -32,27 +33,28 @@ __version__ = "0.1.0"
 FIDELITIES: Mapping[str, Setting]
 
 _LAZY = {
-    "Action": "action",
+    "Action": "model.action",
     "FIDELITIES": "simulators.fidelity",
     "Fit": "measure.result",
-    "JackInBoxEnv": "env",
-    "JackInBoxVectorEnv": "vector_env",
+    "JackInBoxEnv": "envs.single",
+    "JackInBoxVectorEnv": "envs.vector",
     "Impact": "simulators",
     "JackLostError": "simulators",
     "Linearization": "planning.linearization",
-    "Observation": "observation",
+    "Observation": "model.observation",
     "Simulator": "simulators",
     "make_simulator": "simulators",
     "Recording": "measure.recordings",
     "Rollout": "planning.rollouts",
-    "Task": "tasks",
-    "TaskError": "tasks",
+    "Task": "model.tasks",
+    "TaskError": "model.tasks",
     "cheapest": "measure.choosing",
     "fit": "measure.fitting",
     "ilqr": "planning.ilqr",
     "linearize": "planning.linearization",
     "rollout": "planning.rollouts",
 }
+_FACES = ("mechanics", "sb3", "torch")  # public modules
 __all__ = [
     "FIDELITIES",
     "Action",
@@ -80,10 +82,13 @@ __all__ = [
     "rollout",
 ]
 
+for _name in ("action", "observation", "scene", "states", "tasks"):  # where pickles of earlier versions find them
+    sys.modules[f"{__name__}.{_name}"] = importlib.import_module(f"{__name__}.model.{_name}")
+
 register(
     id="JackInBox-v0",
-    entry_point="jackbox_env.env:JackInBoxEnv",
-    vector_entry_point="jackbox_env.vector_env:JackInBoxVectorEnv",
+    entry_point="jackbox_env.envs.single:JackInBoxEnv",
+    vector_entry_point="jackbox_env.envs.vector:JackInBoxVectorEnv",
     max_episode_steps=500,  # 10 s
     reward_threshold=300.0,  # of juggle
 )
@@ -93,6 +98,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use: importing the package loads neither pymunk nor numba."""
     if name in _LAZY:
         return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)
+    if name in _FACES:
+        return importlib.import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from agents.policies.network import SHIPPED, WEIGHTS
 from jackbox_env import __version__
-from jackbox_env.command_line import ROOT, command_line
-from jackbox_env.files import write_text
+from jackbox_env.tools.command_line import ROOT, command_line
+from jackbox_env.tools.files import write_text
 
 INPUTS = 'From the observation `"landing"`, ten numbers of the state and eleven of the next landing,'
 ORIGINS = {  # what a network is, and how it was trained

@@ -27,9 +27,9 @@ from agents.policies.scripted import PLAIN, Policy, PolicyWithEnv, RandomPolicy
 from agents.runs import versions
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env import checks as check
-from jackbox_env.command_line import ROOT, command_line
-from jackbox_env.files import write_text
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.command_line import ROOT, command_line
+from jackbox_env.tools.files import write_text
 from scripts.cards import datasets_card
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")

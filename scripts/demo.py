@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.settings import TrainSettings
-from jackbox_env.command_line import command_line, progress
+from jackbox_env.tools.command_line import command_line, progress
 
 if TYPE_CHECKING:
     from agents.evaluation.returns import Returns
@@ -49,8 +49,8 @@ def main() -> None:
     from agents.runs import describe
     from agents.training.models import derived_seed
     from agents.training.ppo import train
-    from jackbox_env import checks as check
-    from jackbox_env.files import new_folder
+    from jackbox_env.tools import checks as check
+    from jackbox_env.tools.files import new_folder
 
     check.whole("episodes", arguments.episodes, at_least=2)
     settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
@@ -88,7 +88,7 @@ def _returns(acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], episo
 def _write_results(folder: Path, seed: int, rows: dict[str, list[Returns]]) -> None:
     """Write results.json: all returns by fidelity, machine and versions."""
     from agents.runs import machine, versions
-    from jackbox_env.files import write_json
+    from jackbox_env.tools.files import write_json
 
     returns = {fidelity: [row.as_json() for row in of] for fidelity, of in rows.items()}
     record = {"seed": seed, "machine": machine(), "versions": versions(), "results": returns}

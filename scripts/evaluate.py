@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from agents.files import trust_names
 from agents.settings import EnvSettings, SceneFields, scene_as_json
-from jackbox_env import checks as check
-from jackbox_env.command_line import command_line, progress
-from jackbox_env.files import check_new, check_writable, new_file, new_folder, write_json
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.command_line import command_line, progress
+from jackbox_env.tools.files import check_new, check_writable, new_file, new_folder, write_json
 
 with suppress(ImportError):  # main names what is missing
     import tyro

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from jackbox_env.command_line import called, command_line
+from jackbox_env.tools.command_line import called, command_line
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ def main() -> None:
     from agents.evaluation.exporting import export_policy
     from agents.policies.network import WEIGHTS
     from agents.runs import read_settings
-    from jackbox_env.files import new_folder
+    from jackbox_env.tools.files import new_folder
 
     folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))
     size = (folder / WEIGHTS).stat().st_size

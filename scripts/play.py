@@ -6,8 +6,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from jackbox_env.command_line import command_line
 from jackbox_env.commands import play
+from jackbox_env.tools.command_line import command_line
 from scripts.site.build import ensure_page
 
 

@@ -15,7 +15,7 @@ import tomllib
 import venv
 from pathlib import Path
 
-from jackbox_env.command_line import ROOT, command_line
+from jackbox_env.tools.command_line import ROOT, command_line
 
 CORE = [
     "tests/environment/test_env.py",

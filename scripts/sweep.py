@@ -14,7 +14,7 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported: one thread for each trial
 
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 
 
 @dataclass(frozen=True)

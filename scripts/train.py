@@ -11,8 +11,8 @@ from typing import Literal, TypedDict
 from agents.files import trust_names
 from agents.runs import RUN, describe, read_settings
 from agents.settings import SceneFields, TrainSettings, scene_as_json
-from jackbox_env.command_line import called, command_line, progress
-from jackbox_env.files import new_folder
+from jackbox_env.tools.command_line import called, command_line, progress
+from jackbox_env.tools.files import new_folder
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from hashlib import sha256
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
-from jackbox_env.command_line import ROOT, command_line
+from jackbox_env.tools.command_line import ROOT, command_line
 from scripts.site.build import ensure_page
 
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba needs a newer one.
@@ -29,10 +29,10 @@ def call_all() -> None:
     import numpy as np
 
     from jackbox_env import Drive, Scene, make_simulator, rollout
-    from jackbox_env.env import JackInBoxEnv
+    from jackbox_env.envs.single import JackInBoxEnv
+    from jackbox_env.envs.vector import JackInBoxVectorEnv
+    from jackbox_env.model.tasks import TASKS
     from jackbox_env.planning import linearization
-    from jackbox_env.tasks import TASKS
-    from jackbox_env.vector_env import JackInBoxVectorEnv
 
     make_simulator(Scene(drive=Drive(torque=lambda time: 1e4)), "exact").step(0.02)
     for task in TASKS:

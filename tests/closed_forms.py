@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flint import arb, ctx
 
-from jackbox_env.scene import Chirp
+from jackbox_env.model.scene import Chirp
 from tests.proof import chirp_turn
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from numba.core.registry import cpu_target
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator, rollout
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env.envs.single import JackInBoxEnv
+from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.simulators.contacts import iterations_for
-from jackbox_env.vector_env import JackInBoxVectorEnv
 
 Digests = dict[str, str]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "runs" / "mutants"
-LAW = ("jackbox_env/mechanics.py", "jackbox_env/complementarity.py", "jackbox_env/exact/*.py")
+LAW = ("jackbox_env/model/mechanics.py", "jackbox_env/model/complementarity.py", "jackbox_env/exact/*.py")
 GROUPS = ((LAW, 1 / 2), (("jackbox_env/**/*.py",), 1 / 3), (("agents/**/*.py",), 1 / 6))
 PARTS: dict[type, Callable[..., ast.AST]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.USub: ast.UAdd,

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 from flint import arb, arb_mat, arb_series, ctx
 
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.model.scene import Chirp, Drive, Scene
 
 Pair = tuple[int, int]  # wall and foot
 EVERY_PAIR: Sequence[Pair] = [(wall, foot) for wall in range(4) for foot in range(4)]

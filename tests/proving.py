@@ -31,12 +31,12 @@ from agents.evaluation.episodes import record_episode
 from agents.policies.network import TRAINED
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
-from jackbox_env.files import write_text
 from jackbox_env.mechanics import gap_jacobian, gaps
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import Impact, JackLostError, make_simulator
-from jackbox_env.states import Array
-from jackbox_env.tasks import sample_start
+from jackbox_env.tools.files import write_text
 from scripts.studies.pages import fill, table
 from tests.invariants.cases import draw_case
 from tests.proof import EVERY_PAIR, FreeFlight, Proof, Turn, prove

@@ -19,9 +19,9 @@ from typing import Any
 
 from flint import arb, ctx
 
-from jackbox_env.files import write_text
-from jackbox_env.scene import Chirp, Scene
-from jackbox_env.states import STATE_NAMES
+from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.states import STATE_NAMES
+from jackbox_env.tools.files import write_text
 from scripts.referee import scene_of
 from scripts.studies.pages import fill, table
 from tests.proof import Proof, UndecidedError, prove

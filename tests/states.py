@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.mechanics import gap_jacobian, gaps
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 
 DATA = Path(__file__).parent / "data"
 Array = NDArray[np.float64]

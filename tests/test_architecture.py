@@ -18,18 +18,14 @@ ROOT = Path(__file__).parents[1]
 # From the ground up: a module imports only from its line and from those above it in this list. A name is a file or a
 # folder.
 ORDER = """
-    checks files colours command_line one_thread
-    scene states settings randomization complementarity mechanics tasks landing observation action
+    tools
+    model
+    mechanics
     exact
     simulators
-    scoring
-    decisions
-    recording
     render
-    env
-    batches
-    vector_env
-    durations saved_models
+    envs
+    recording
     sb3
     planning
     torch
@@ -110,6 +106,44 @@ def _circle(sources: dict[str, Path]) -> list[str]:
     return []
 
 
+def _rooms(sources: dict[str, Path]) -> dict[str, set[str]]:
+    """The rooms, packages and loose files, and those that each imports."""
+    rooms = dict[str, set[str]]()
+    for name, imported in _graph(sources).items():
+        room = ".".join(name.split(".")[:2])
+        rooms.setdefault(room, set()).update(".".join(one.split(".")[:2]) for one in imported)
+        rooms[room].discard(room)
+    return rooms
+
+
+def summary(package: str) -> str:
+    """Numbers of rooms, floors and arrows of a package, and of the files within each of its packages."""
+    lines = []
+    for label, rooms in {
+        package: {
+            room: {one for one in others if one.startswith(package)}
+            for room, others in _rooms(_sources()).items()
+            if room.startswith(f"{package}.")
+        },
+        **{
+            folder: {
+                name: {one for one in others if one.startswith(f"{folder}.")}
+                for name, others in _graph(_sources()).items()
+                if name.startswith(f"{folder}.")
+            }
+            for folder in sorted(_rooms(_sources()))
+            if folder.startswith(f"{package}.")
+        },
+    }.items():
+        floors = dict[str, int]()
+        for room in TopologicalSorter(rooms).static_order():
+            floors[room] = 1 + max((floors[one] for one in rooms[room]), default=0)
+        if len(rooms) > 1:
+            arrows = sum(map(len, rooms.values()))
+            lines.append(f"{label:<26} {len(rooms):>3} rooms {max(floors.values()):>3} floors {arrows:>4} arrows")
+    return "\n".join(lines)
+
+
 def test_every_name_of_the_order_is_a_module() -> None:
     assert set(LEVELS) <= set(_sources())
 
@@ -167,20 +201,22 @@ def test_no_package_reads_anothers_privates() -> None:
     assert _privates_read(_sources()) == []
 
 
-@pytest.mark.parametrize("line", ["from jackbox_env.env import _read", "env._parts", "import numpy\nnumpy.put._parts"])
+@pytest.mark.parametrize(
+    "line", ["from jackbox_env.envs.single import _read", "env._parts", "import numpy\nnumpy.put._parts"]
+)
 def test_a_private_name_that_is_read_is_seen(tmp_path: Path, line: str) -> None:
     (tmp_path / "bad.py").write_text(line)
     (tmp_path / "env.py").write_text("class Env:\n    def __init__(self):\n        self._parts = _read = 1")
-    privates = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.env": tmp_path / "env.py"})
+    privates = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.envs.single": tmp_path / "env.py"})
     assert len(privates) == 1
 
 
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("jackbox_env.scene", "import jackbox_env.env"),
-        ("jackbox_env.scene", "def f():\n    from jackbox_env.env import JackInBoxEnv"),
-        ("jackbox_env.env", "from agents import runs"),
+        ("jackbox_env.model.scene", "import jackbox_env.envs.single"),
+        ("jackbox_env.model.scene", "def f():\n    from jackbox_env.envs.single import JackInBoxEnv"),
+        ("jackbox_env.envs.single", "from agents import runs"),
         ("agents.policies.network", "from agents.training import models"),
         ("agents.runs", "import scripts.train"),
         ("scripts.train", "from scripts.studies import timing"),
@@ -204,7 +240,7 @@ def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
 RETIRED = {
     "found", "given", "kept", "told", "untold", "taken", "look", "looks", "unseen", "vague", "guessed", "own", "place",
 }  # fmt: skip
-PUBLIC = {"jackbox_env/scene.py": {"given"}}  # names that stay, because users may write them
+PUBLIC = {"jackbox_env/model/scene.py": {"given"}}  # names that stay, because users may write them
 
 
 def _defined(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -249,3 +285,7 @@ def test_a_retired_word_is_seen(tmp_path: Path, line: str) -> None:
     assert name.startswith(f"{tmp_path.name}/bad.py:3: ")
     (tmp_path / "bad.py").write_text("foundation = other.kept = given(own=0)")
     assert _retired(tmp_path) == []
+
+
+if __name__ == "__main__":
+    print(summary("jackbox_env"), summary("agents"), sep="\n")

@@ -62,7 +62,7 @@ def train(folder: Path) -> None:
     from agents.runs import describe
     from agents.settings import TrainSettings
     from agents.training import ppo
-    from jackbox_env.files import new_folder
+    from jackbox_env.tools.files import new_folder
 
     settings = TrainSettings(
         total_steps=10, num_envs=2, rollout_steps=5, batch_size=10, epochs=1, eval_steps=10, eval_episodes=1
@@ -103,7 +103,7 @@ def test_nothing_needs_features_that_other_systems_lack(tmp_path: Path) -> None:
 
 
 def test_every_text_file_names_its_encoding() -> None:
-    null = "jackbox_env/command_line.py:PLW1514"  # opens only the null device
+    null = "jackbox_env/tools/command_line.py:PLW1514"  # opens only the null device
     command = [sys.executable, "-m", "ruff", "check", "--preview", "--select", "PLW1514", "--per-file-ignores", null]
     done = subprocess.run([*command, "jackbox_env", "agents", "scripts"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout

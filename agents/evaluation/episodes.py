@@ -15,7 +15,7 @@ from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, setting_of
 from agents.training.models import derived_seed
 from jackbox_env import JackInBoxEnv, Scene
-from jackbox_env.decisions import ControlStep
+from jackbox_env.envs.decisions import ControlStep
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from agents.policies.network import layers_of, write_with_layers
 from agents.runs import EVALUATIONS, SETTINGS, TIME, read_settings, run_folder
 from agents.training.models import load_model
-from jackbox_env.files import write_bytes
+from jackbox_env.tools.files import write_bytes
 
 
 def export_policy(run: Path, folder: Path) -> None:

@@ -16,9 +16,9 @@ from agents.evaluation.episodes import control_steps
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EPISODE_STEPS
 from jackbox_env import JackInBoxEnv
-from jackbox_env.files import check_new, check_writable, new_file
 from jackbox_env.render.canvas import import_pygame
 from jackbox_env.render.renderer import Renderer
+from jackbox_env.tools.files import check_new, check_writable, new_file
 
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")

@@ -9,8 +9,8 @@ from typing import Any
 from agents.policies.registry import POLICIES, SCRIPTED
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, setting_of
-from jackbox_env import checks as check
 from jackbox_env.simulators.fidelity import KEYWORDS, words
+from jackbox_env.tools import checks as check
 
 
 def describe_env(settings: EnvSettings) -> str:

@@ -28,11 +28,11 @@ from agents.policies.scripted import torques as as_actions
 from agents.policies.value import Value
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene
-from jackbox_env import checks as check
-from jackbox_env.landing import QUARTER, landing_time, torques, upright
 from jackbox_env.mechanics import contacts_of, impact_maps
-from jackbox_env.observation import BOUNDS, state_of
-from jackbox_env.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State
+from jackbox_env.model.landing import QUARTER, landing_time, torques, upright
+from jackbox_env.model.observation import BOUNDS, state_of
+from jackbox_env.model.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State
+from jackbox_env.tools import checks as check
 
 LANDING = "landing.json"
 FLOOR = 3  # the wall under the jack while the box is turned by less than an eighth of a turn

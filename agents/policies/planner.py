@@ -11,9 +11,9 @@ from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, tor
 from agents.policies.value import Value, ValuedSearch, read_value
 from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
-from jackbox_env import checks as check
-from jackbox_env.observation import BOUNDS, state_of
+from jackbox_env.model.observation import BOUNDS, state_of
 from jackbox_env.planning.icem import Plans, Search
+from jackbox_env.tools import checks as check
 
 DECISION_INTERVAL = 0.1  # [s] that the settings here were tuned for
 

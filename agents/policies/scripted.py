@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import Scene
-from jackbox_env.observation import BOUNDS
+from jackbox_env.model.observation import BOUNDS
 
 Actions = NDArray[Any]
 PLAIN = {"observation": "state", "action": "torque", "action_repeat": 1}  # keywords of the environment of policies here

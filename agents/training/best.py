@@ -16,7 +16,7 @@ from agents.runs import BEST, EVALUATIONS, is_whole
 from agents.settings import TrainSettings
 from agents.training.checkpoints import Checkpoint, model_file
 from agents.training.models import derived_seed, make_vec_env
-from jackbox_env.files import replacing, write_bytes
+from jackbox_env.tools.files import replacing, write_bytes
 
 
 def choosing_seed(settings: TrainSettings) -> int:

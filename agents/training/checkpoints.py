@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.runs import Parameters, read_if_whole
-from jackbox_env.files import write_bytes
+from jackbox_env.tools.files import write_bytes
 
 CHECKPOINTS = "checkpoints"
 

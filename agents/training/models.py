@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from agents.files import as_value_error
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
 from agents.settings import TrainSettings
-from jackbox_env.action import action_of
+from jackbox_env.model.action import action_of
 from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
 
 

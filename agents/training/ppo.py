@@ -29,8 +29,8 @@ from agents.training.checkpoints import (
 )
 from agents.training.models import derived_seed, make_ppo, make_vec_env
 from agents.training.timing import TimedEnvironments, TrainingTimer, formatted
-from jackbox_env.files import new_folder, remove_partials, write_bytes, write_json
 from jackbox_env.sb3 import Durations
+from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
 
 FRESH_EPISODES = 64  # that judge the trained model
 

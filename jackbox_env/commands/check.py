@@ -12,11 +12,11 @@ from importlib import metadata
 import numpy as np
 
 from jackbox_env import Scene, __version__, make_simulator
-from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import parser_of
 from jackbox_env.measure.accuracy import Case, follow
 from jackbox_env.planning import linearization
 from jackbox_env.simulators import exact
+from jackbox_env.tools.command_line import command_line
 
 _DT = 0.02  # [s]
 _TOLERANCE = 1e-9  # relative, of energy and work

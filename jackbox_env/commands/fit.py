@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jackbox_env import checks as check
-from jackbox_env.command_line import command_line
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
     from jackbox_env.measure.recordings import Recording
-    from jackbox_env.scene import Scene
+    from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
 _IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
@@ -139,7 +139,7 @@ def main() -> None:
     """Read the recordings, fit, print the result, and write the page."""
     arguments = _arguments()
     from jackbox_env import Chirp, Scene
-    from jackbox_env.files import check_new, new_folder, stamped
+    from jackbox_env.tools.files import check_new, new_folder, stamped
 
     paths, folder = arguments.recordings, arguments.folder or stamped("fit")
     if arguments.impacts and len(arguments.impacts) != len(paths):

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jackbox_env.states import STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK, Y_JACK, Array
+from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK, Y_JACK, Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jackbox_env.measure.recordings import Recording
     from jackbox_env.measure.result import Fit
-    from jackbox_env.scene import Scene
+    from jackbox_env.model.scene import Scene
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
@@ -91,7 +91,7 @@ def write_fit_page(
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    from jackbox_env.files import new_file
+    from jackbox_env.tools.files import new_file
 
     head, *rows = ("".join(f"<td>{cell}</td>" for cell in row) for row in table_of(result, start))
     body = [f"<table><tr>{head.replace('td>', 'th>')}</tr>", *(f"<tr>{row}</tr>" for row in rows), "</table>"]

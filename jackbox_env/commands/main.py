@@ -6,7 +6,7 @@ import importlib
 import sys
 
 from jackbox_env import __version__
-from jackbox_env.command_line import JACKBOX, ROOT, command_line, in_checkout
+from jackbox_env.tools.command_line import JACKBOX, ROOT, command_line, in_checkout
 
 _PACKAGED = {
     "simulate": "simulate the scene; write CSV or npz, plots, an animated page",

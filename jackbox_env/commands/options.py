@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any, get_args, get_type_hints
 
-from jackbox_env import checks as check
 from jackbox_env.simulators.fidelity import Setting
+from jackbox_env.tools import checks as check
 
 SCENE_HELP = {
     "box_half_width": "L, the walls are at +-L in the box frame [m]",

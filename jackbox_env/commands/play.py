@@ -7,10 +7,10 @@ import sys
 import webbrowser
 from pathlib import Path
 
-from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import parser_of
+from jackbox_env.tools.command_line import command_line
 
-PAGE = Path(__file__).parents[1] / "page" / "play.html"
+PAGE = Path(__file__).parents[1] / "recording" / "web" / "play.html"
 
 
 def options() -> argparse.Namespace:

@@ -8,10 +8,10 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jackbox_env.colours import JACK as JACK_COLOUR
-from jackbox_env.colours import WALL, hexed
-from jackbox_env.files import new_file
 from jackbox_env.recording.trajectory import Trajectory
+from jackbox_env.tools.colours import JACK as JACK_COLOUR
+from jackbox_env.tools.colours import WALL, hexed
+from jackbox_env.tools.files import new_file
 
 BOX, JACK, GREY = hexed(WALL), hexed(JACK_COLOUR), "#787e86"
 

@@ -6,8 +6,8 @@ import argparse
 import sys
 from typing import cast
 
-from jackbox_env.command_line import command_line
 from jackbox_env.commands.options import parser_of
+from jackbox_env.tools.command_line import command_line
 
 _MOST_READ = 1 << 20  # bytes of standard input: more than any game has
 
@@ -25,8 +25,8 @@ def main() -> None:
     text: str = _arguments().text
     import gymnasium as gym
 
+    from jackbox_env.model.scene import total
     from jackbox_env.recording.game import read_game, replay_game
-    from jackbox_env.scene import total
 
     if text == "-":
         text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")

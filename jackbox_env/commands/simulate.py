@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jackbox_env import checks as check
-from jackbox_env.command_line import command_line, progress
 from jackbox_env.commands.options import add_model_options, chosen_scene, parser_of
-from jackbox_env.files import check_new, new_folder, stamped
-from jackbox_env.states import STATE_NAMES, Array
+from jackbox_env.model.states import STATE_NAMES, Array
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.command_line import command_line, progress
+from jackbox_env.tools.files import check_new, new_folder, stamped
 
 if TYPE_CHECKING:
+    from jackbox_env.model.scene import Scene
     from jackbox_env.recording.trajectory import Trajectory
-    from jackbox_env.scene import Scene
     from jackbox_env.simulators.fidelity import Setting
 
 _STEP_TOLERANCE = 1e-6  # relative, of steps of time

@@ -11,8 +11,8 @@
 ``glide.py`` moves rows in free flight together, and ``restart.py`` starts episodes. ``tangents.py`` differentiates a
 step, ``derivatives.py`` a rollout. ``workspace.py`` has the memory and the arguments of a call. ``compiler.py``
 compiles all of it with the compilers of ``pipelines.py``, and ``code_cache.py`` stores the machine code. The projection
-of simultaneous contacts on a cone is in ``jackbox_env/complementarity.py``. For derivatives, ``search.record_state``
-adds the state at each impact to a wide log.
+of simultaneous contacts on a cone is in ``model/complementarity.py``. For derivatives, ``search.record_state`` adds
+the state at each impact to a wide log.
 
 In all files a gap is gap = L - n . (r + o) [m]: L is half the box's width, n a wall's outward normal, r the jack's
 centre from the box's, o a foot from the jack's centre, |o| = l the jack's arm. K [m/s^2] bounds |gap''|, and v0 is

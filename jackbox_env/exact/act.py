@@ -15,8 +15,8 @@ from jackbox_env.exact.glide import OVER, TIME
 from jackbox_env.exact.observe import state_in
 from jackbox_env.exact.step import make_numbers
 from jackbox_env.exact.workspace import APPLIED
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import Array, State
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import Array, State
 
 block_actor = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8, f8)")
 

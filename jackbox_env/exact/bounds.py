@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from jackbox_env.exact.flight import BoxFrame, Flight, towards
-from jackbox_env.scene import SceneNumbers
+from jackbox_env.model.scene import SceneNumbers
 
 _SLACK = 1.0 + 1e-12  # for the rounding of bounds
 

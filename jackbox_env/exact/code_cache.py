@@ -30,7 +30,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from jackbox_env import files
+from jackbox_env.tools import files
 
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
 SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Excavator (2015) on

@@ -28,8 +28,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from jackbox_env.scene import Scene
-from jackbox_env.states import State
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import State
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])

@@ -53,8 +53,8 @@ from jackbox_env.exact.workspace import (
     TURNED,
     Workspace,
 )
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     THETA_BOX,

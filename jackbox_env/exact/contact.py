@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jackbox_env.complementarity import nearest, weigh
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.complementarity import nearest, weigh
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,

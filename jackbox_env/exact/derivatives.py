@@ -24,8 +24,8 @@ from jackbox_env.exact.tangents import (
     step_tangent,
 )
 from jackbox_env.exact.workspace import Workspace, Workspaces
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,

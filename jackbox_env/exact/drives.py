@@ -20,8 +20,8 @@ from numpy.polynomial.chebyshev import cheb2poly
 
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import Workspace
-from jackbox_env.scene import MOST_TURNS, SceneNumbers
-from jackbox_env.states import Array
+from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
+from jackbox_env.model.states import Array
 
 TURN, PUSH_X, PUSH_Y = range(3)
 POWERS = 16  # stored of each polynomial

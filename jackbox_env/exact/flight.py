@@ -14,8 +14,8 @@ from jackbox_env.exact.contact import gap_and_lever, quarter
 from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
 from jackbox_env.exact.trigonometry import cos_sin
 from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     THETA_BOX,

@@ -35,8 +35,8 @@ from jackbox_env.exact.workspace import (
     TURNING,
     Workspace,
 )
-from jackbox_env.scene import SceneNumbers, chirp_turns
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers, chirp_turns
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,

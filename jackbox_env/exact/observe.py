@@ -13,10 +13,10 @@ from jackbox_env.exact.compiler import called_at
 from jackbox_env.exact.glide import TIME
 from jackbox_env.exact.step import make_numbers
 from jackbox_env.exact.trigonometry import LARGEST, cos_sin, cos_sin_within, without_turns
-from jackbox_env.landing import at_landing, landing_features
-from jackbox_env.observation import components
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import THETA_BOX, THETA_JACK, Array, Counts, Floats, State
+from jackbox_env.model.landing import at_landing, landing_features
+from jackbox_env.model.observation import components
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Floats, State
 
 block_observer = called_at("i8(f8[:, ::1], f8[:, ::1], i8, f8[:, ::1], i8, f4[:, ::1])")
 LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import math
 
-from jackbox_env.complementarity import dot, nearest, project, violation_of, weigh
 from jackbox_env.exact.bounds import bounds_of, parabola_root
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
 from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, rate_of, record_impact, resolve
@@ -43,8 +42,9 @@ from jackbox_env.exact.search import (
     why_undecided,
 )
 from jackbox_env.exact.workspace import FORCE, Status, Workspace
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.complementarity import dot, nearest, project, violation_of, weigh
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,

@@ -1,9 +1,9 @@
 """Between the steps of a batch: draws scenes and starts; and checks the starts of rollouts.
 
-:mod:`jackbox_env.batches.exact` calls it when episodes begin. Scenes come in rows of numbers, one for all environments
-or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill 2014, "PCG: A
-family of simple fast space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares draws with
-numpy's own generator.
+:mod:`jackbox_env.envs.batches.exact` calls it when episodes begin. Scenes come in rows of numbers, one for all
+environments or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill
+2014, "PCG: A family of simple fast space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares
+draws with numpy's own generator.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
 from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
-from jackbox_env.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
-from jackbox_env.tasks import start_pose
+from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
+from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
+from jackbox_env.model.tasks import start_pose
 
 (HALF_WIDTH, BOX_MASS, BOX_INERTIA, ARM, JACK_MASS, JACK_INERTIA, SPEED_SCALE) = (
     SceneNumbers._fields.index(name)
@@ -29,7 +29,7 @@ _ORDINARY = 1e9  # over L: smaller numbers of a state need no check in Python
 
 
 def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words: Words) -> None:
-    """Draw the numbers of some scenes, as :meth:`jackbox_env.randomization.Randomization.draw` does.
+    """Draw the numbers of some scenes, as :meth:`jackbox_env.model.randomization.Randomization.draw` does.
 
     Args:
         values: the scenes, one row each, to be changed.

@@ -36,10 +36,10 @@ from jackbox_env.exact.workspace import (
     Workspace,
     arguments_at,
 )
-from jackbox_env.landing import is_over
-from jackbox_env.mechanics import energy_of
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import LATEST_TIME, Array, Flags
+from jackbox_env.model.landing import is_over
+from jackbox_env.model.mechanics import energy_of
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import LATEST_TIME, Array, Flags
 
 PATIENCE = 2e6  # work before a call pauses, in gap evaluations: 0.3 s, 1.2 s if most of them find impacts
 STOPPED = 2.0  # in the row OVER of a block: an impact stopped the row; 1.0: its episode is over

@@ -14,8 +14,8 @@ from jackbox_env.exact.compiler import called_at
 from jackbox_env.exact.observe import state_in
 from jackbox_env.exact.step import make_numbers
 from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
-from jackbox_env.scene import SceneNumbers, total
-from jackbox_env.states import Array, Flags, Floats, State
+from jackbox_env.model.scene import SceneNumbers, total
+from jackbox_env.model.states import Array, Flags, Floats, State
 
 block_scorer = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])")
 row_scorer = called_at("b1(f8[::1], f8[::1], f8, f8, f8[::1])")

@@ -42,8 +42,8 @@ from jackbox_env.exact.flight import (
     view_of,
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import Array
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import Array
 
 # In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
 NONE, UNDECIDED, AT_REST = -1, -2, -3

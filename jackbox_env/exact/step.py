@@ -31,8 +31,8 @@ from jackbox_env.exact.search import (
 )
 from jackbox_env.exact.trigonometry import without_turns
 from jackbox_env.exact.workspace import Status, Workspace
-from jackbox_env.scene import SceneNumbers, chirp_turns
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers, chirp_turns
+from jackbox_env.model.states import (
     LARGEST,
     RATES,
     THETA_BOX,

@@ -29,8 +29,8 @@ from jackbox_env.exact.step import (
     enter_frame,
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import (
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,

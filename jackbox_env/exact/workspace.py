@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
-from jackbox_env.states import Array, Counts, Flags, Floats
+from jackbox_env.model.states import Array, Counts, Flags, Floats
 
 
 class Workspace(np.record):  # type: ignore[misc]

@@ -13,11 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import energy_of
-from jackbox_env.scene import Scene
-from jackbox_env.simulators import Impact, JackLostError, Simulator
-from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import (
+from jackbox_env.model.mechanics import energy_of
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import (
     THETA_BOX,
     THETA_JACK,
     X_BOX,
@@ -28,6 +26,8 @@ from jackbox_env.states import (
     clearance,
     deepest_restored,
 )
+from jackbox_env.simulators import Impact, JackLostError, Simulator
+from jackbox_env.simulators.replay import replayed
 
 _REPLAY_TOLERANCE = 1e-6  # over L, of the end of a replay from the end of the model's step
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.states import Array
+from jackbox_env.model.states import Array
 
 Indices = NDArray[np.intp]
 

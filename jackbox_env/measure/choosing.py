@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Case, at_ends, between, follow
-from jackbox_env.scene import Scene, scenes_of
+from jackbox_env.model.scene import Scene, scenes_of
+from jackbox_env.model.states import Array, as_start
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import Setting
-from jackbox_env.states import Array, as_start
-from jackbox_env.tasks import sample_start
+from jackbox_env.tools import checks as check
 
 _CANDIDATES = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # substeps of pymunk, cheapest first
 _ROUNDS = 5  # of interleaved timings of two settings

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
-from jackbox_env.scene import Chirp, Drive, Scene
-from jackbox_env.states import LATEST_TIME, STATE_NAMES, Array
+from jackbox_env.model.scene import Chirp, Drive, Scene
+from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, Array
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below

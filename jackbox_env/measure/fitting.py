@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Rows, minimise
 from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, pushed, rough_noise, state_at
@@ -42,8 +41,9 @@ from jackbox_env.measure.shooting import (
     next_window,
     units,
 )
-from jackbox_env.scene import Scene
-from jackbox_env.states import STATE_NAMES, THETA_JACK, Array
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import STATE_NAMES, THETA_JACK, Array
+from jackbox_env.tools import checks as check
 
 try:
     from scipy import stats

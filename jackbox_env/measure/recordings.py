@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
 from jackbox_env.measure.columns import evened
 from jackbox_env.measure.tables import Table, stored_scene, table_of
-from jackbox_env.scene import Scene
-from jackbox_env.states import LATEST_TIME, RATES, STATE_NAMES, Array
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, Array
+from jackbox_env.tools import checks as check
 
 SHORTEST = 1e-9  # [s] between states
 IMPACT = "impacts"  # the name of the noise of impacts' times

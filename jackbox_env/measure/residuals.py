@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.measure.chain import LAGS, LINK, UNIDENTIFIABLE, WIDTH, Chain, Indices, Rows
-from jackbox_env.scene import Scene
-from jackbox_env.states import RATES, Array
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES, Array
 
 _LAGS = 4  # rows, up to which residuals are compared
 

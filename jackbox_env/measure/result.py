@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from jackbox_env.scene import Scene
-from jackbox_env.states import Array
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array
 
 
 @dataclass(frozen=True)

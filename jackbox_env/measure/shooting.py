@@ -18,10 +18,10 @@ import numpy as np
 
 from jackbox_env.measure.chain import LINK, UNHEARD, WIDTH, Indices, Rows
 from jackbox_env.measure.recordings import Recording, state_at
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES, Array
 from jackbox_env.planning.linearization import linearize
-from jackbox_env.scene import Scene
 from jackbox_env.simulators import JackLostError
-from jackbox_env.states import RATES, Array
 
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next

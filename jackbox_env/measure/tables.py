@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env import checks as check
-from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.tools import checks as check
 
 UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
 _TURN = 2.0 * math.pi  # [rad]

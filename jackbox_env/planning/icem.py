@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import checks as check
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import Task, task_of
 from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
-from jackbox_env.scene import Scene
 from jackbox_env.simulators.exact import ensure_compiled
-from jackbox_env.states import Array
-from jackbox_env.tasks import Task, task_of
+from jackbox_env.tools import checks as check
 
 _COLOUR = 2.0  # the noise's power falls with this power of the frequency
 _SPREAD = 0.5  # standard deviation of the first candidates, in torque limits

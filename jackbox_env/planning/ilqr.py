@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import LATEST_TIME, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array, as_restored
+from jackbox_env.model.tasks import SLOPES
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.planning.rollouts import rollout
-from jackbox_env.scene import Scene
 from jackbox_env.simulators import JackLostError
-from jackbox_env.states import LATEST_TIME, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array, as_restored
-from jackbox_env.tasks import SLOPES
+from jackbox_env.tools import checks as check
 
 Cost = Callable[[Array], tuple[ArrayLike, ArrayLike, ArrayLike]]
 _LENGTHS = 0.5 ** np.arange(12)  # of the line search

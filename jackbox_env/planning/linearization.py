@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import checks as check
-from jackbox_env.batches.threads import Halt, Threads, thread_count
+from jackbox_env.envs.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import derivatives, tangents
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.model.scene import Scene, scenes_of
+from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags
 from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, RolloutOptions, Tape, run_rollouts, sequences
-from jackbox_env.scene import Scene, scenes_of
 from jackbox_env.simulators.exact import drive_kind
-from jackbox_env.states import LATEST_TIME, Array, Counts, Flags
+from jackbox_env.tools import checks as check
 
 _AT_ONCE = 100_000  # steps of one call, after which Python can handle an interruption
 

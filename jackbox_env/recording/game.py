@@ -6,7 +6,7 @@ The text is a JSON object, or a link that ends in one after a ``#``, percent-enc
 - ``task``: juggle (default), spin or rattle. ``dt``: control step [s], default 0.02, from 0.001 to 1.
 - ``scene``: an object of jack_mass, jack_arm, restitution and gravity, as far as they differ from the default scene.
 - ``start``: the state in which the game starts, 12 numbers; or four strings of decimal digits, the words of a PCG64
-  generator (state high and low, increment high and low) that draws it as :func:`jackbox_env.tasks.sample_start`.
+  generator (state high and low, increment high and low) that draws it as :func:`jackbox_env.model.tasks.sample_start`.
 - ``shares``: the torque of each run of steps as a share of the torque limit, float64, little-endian.
 - ``counts``: the length of each run, uint16, little-endian. The low 15 bits are its number of steps. The top bit marks
   the scene's own drive; the run's share is then 0.
@@ -32,15 +32,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import __version__
-from jackbox_env import checks as check
+from jackbox_env.envs.scoring import Nouns, make_functions
 from jackbox_env.exact.restart import WHOLE, unpacked
-from jackbox_env.scene import Scene, total
-from jackbox_env.scoring import Nouns, make_functions
+from jackbox_env.model.scene import Scene, total
+from jackbox_env.model.states import Array, as_start
+from jackbox_env.model.tasks import TASKS, sample_start
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.states import Array, as_start
-from jackbox_env.tasks import TASKS, sample_start
+from jackbox_env.tools import checks as check
 
 VERSION = 1
 LONGEST = 65_536  # characters of a text

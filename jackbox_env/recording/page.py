@@ -1,6 +1,6 @@
 """A trajectory as one page of HTML: an animation, its impacts, and plots that follow its time.
 
-The page is one file that any browser opens, without a network. Its parts are in ``jackbox_env/page``: ``page.html``
+The page is one file that any browser opens, without a network. Its parts are in the folder ``web``: ``page.html``
 names the others, which are inserted there. The page interpolates between samples
 (:mod:`jackbox_env.recording.samples`) by cubics through position and velocity; all physics is computed here.
 """
@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env import colours
-from jackbox_env.files import new_file
+from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.recording.samples import Samples, samples_of
 from jackbox_env.recording.trajectory import Trajectory
-from jackbox_env.scene import Chirp, Scene
 from jackbox_env.simulators.fidelity import Setting, explicit
-from jackbox_env.states import STATE_NAMES
+from jackbox_env.tools import colours
+from jackbox_env.tools.files import new_file
 
 _MOST_LISTED = 2000  # impacts in the page's table: more would make a heavy page that nobody reads
 
@@ -52,7 +52,7 @@ def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, fac
     shown = samples_of(scene, trajectory)
     data = _described(scene, trajectory, shown, title, [*facts, *_timing(trajectory), *_scene_facts(scene)])
     with new_file(path) as partial:
-        template = (files("jackbox_env") / "page" / "page.html").read_text(encoding="utf-8")
+        template = (files("jackbox_env.recording") / "web" / "page.html").read_text(encoding="utf-8")
         partial.write_text(assembled(template, data), encoding="utf-8")
     return path
 
@@ -129,14 +129,14 @@ def _scene_facts(scene: Scene) -> Facts:
 
 
 def assembled(template: str, data: dict[str, Any], **parts: str) -> str:
-    """A page: a template with its ``{{parts}}``, which are ``parts`` or files of ``jackbox_env/page``, and its data."""
+    """A page: a template with its ``{{parts}}``, which are ``parts`` or files of the folder ``web``, and its data."""
     # "<" would let a title end the script that the data stands in.
     text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     values = {"data": text, "colours": _colours(), **parts}
 
     def part(match: re.Match[str]) -> str:
         name = match[1]
-        return values.get(name) or (files("jackbox_env") / "page" / name).read_text(encoding="utf-8").strip()
+        return values.get(name) or (files("jackbox_env.recording") / "web" / name).read_text(encoding="utf-8").strip()
 
     return re.sub(r"\{\{([\w.]+)\}\}", part, template)
 

@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import energy_of
+from jackbox_env.model.mechanics import energy_of
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from jackbox_env.recording.trajectory import Trajectory
-from jackbox_env.scene import Drive, Scene
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
-from jackbox_env.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
 SPACING = 0.005  # between samples in flight, at most [s]
 _REPLAY_TOLERANCE = 1e-6  # over L; a replay that ends further off had a foot at rest

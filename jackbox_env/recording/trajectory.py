@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.files import new_file
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array, Numbers
 from jackbox_env.simulators import Impact, JackLostError, Simulator
-from jackbox_env.states import STATE_NAMES, STATE_UNITS, Array, Numbers
+from jackbox_env.tools.files import new_file
 
 
 @dataclass(frozen=True)

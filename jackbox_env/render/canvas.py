@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from jackbox_env.colours import Colour
+from jackbox_env.tools.colours import Colour
 
 if TYPE_CHECKING:
     import pygame

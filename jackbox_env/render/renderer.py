@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES, Array
 from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
-from jackbox_env.scene import Scene
 from jackbox_env.simulators.base import Impact
-from jackbox_env.states import RATES, Array
+from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
 
 if TYPE_CHECKING:
     import pygame

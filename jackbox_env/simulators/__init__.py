@@ -6,10 +6,10 @@ import importlib
 from types import MappingProxyType
 from typing import Any
 
-from jackbox_env import checks as check
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator
 from jackbox_env.simulators.fidelity import Setting, resolve
+from jackbox_env.tools import checks as check
 
 CONTACT_MODELS = MappingProxyType(  # where the class of each is
     {

@@ -10,10 +10,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
-from jackbox_env.one_thread import ThreadNote, in_use
-from jackbox_env.scene import Scene
-from jackbox_env.states import LATEST_TIME, Array, Numbers, as_restored
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.one_thread import ThreadNote, in_use
 
 
 class JackLostError(RuntimeError):

@@ -8,7 +8,7 @@ from typing import Any
 import pymunk
 
 from jackbox_env.exact.contact import quarter
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.base import Impact
 
 _FIRST_FOOT = 4  # collision types: walls are 0..3, feet 4..7

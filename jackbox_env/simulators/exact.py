@@ -39,7 +39,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
@@ -47,11 +46,12 @@ from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import NOTHING, TORQUE, TORQUES, Call, Rules, Scenes, Status, new_memory
-from jackbox_env.one_thread import in_use
-from jackbox_env.scene import Chirp, Drive, Scene, too_many_turns
+from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
+from jackbox_env.model.states import Array, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
 from jackbox_env.simulators.functions import function_pieces
-from jackbox_env.states import Array, Numbers
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.one_thread import in_use
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
 NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))

@@ -9,7 +9,7 @@ from numbers import Real
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
-from jackbox_env import checks as check
+from jackbox_env.tools import checks as check
 
 DEFAULT = "pymunk"  # contact model by default
 

@@ -10,8 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from jackbox_env.scene import Scene
-from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, VX_BOX, VX_JACK, VY_BOX, VY_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import (
+    OMEGA_BOX,
+    OMEGA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+)
 
 
 def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, force_bound: float) -> float:

@@ -24,11 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env import checks as check
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.drives import DEGREE, POINTS, TABLE_WIDTH, interpolate
-from jackbox_env.scene import Drive
-from jackbox_env.states import Array
+from jackbox_env.model.scene import Drive
+from jackbox_env.model.states import Array
+from jackbox_env.tools import checks as check
 
 Sampled = Callable[[float], float]  # a function's value at a number of ticks since the step's start
 

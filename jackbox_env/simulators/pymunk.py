@@ -49,14 +49,9 @@ import pymunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 from typing_extensions import override
 
-from jackbox_env import checks as check
-from jackbox_env.mechanics import energy_of
-from jackbox_env.scene import Drive, Scene, total
-from jackbox_env.simulators.base import JackLostError, Present, Simulator, end_of_step
-from jackbox_env.simulators.contacts import Recorder, iterations_for
-from jackbox_env.simulators.flight import fly, reach
-from jackbox_env.simulators.replay import replayed
-from jackbox_env.states import (
+from jackbox_env.model.mechanics import energy_of
+from jackbox_env.model.scene import Drive, Scene, total
+from jackbox_env.model.states import (
     OMEGA_BOX,
     RATES,
     VX_BOX,
@@ -71,6 +66,11 @@ from jackbox_env.states import (
     clearance,
     deepest_restored,
 )
+from jackbox_env.simulators.base import JackLostError, Present, Simulator, end_of_step
+from jackbox_env.simulators.contacts import Recorder, iterations_for
+from jackbox_env.simulators.flight import fly, reach
+from jackbox_env.simulators.replay import replayed
+from jackbox_env.tools import checks as check
 
 _WALL_THICKNESS = 100.0 / 6.0  # R over L: 100 m by default
 _HASH_CELL = 1000.0 / 6.0  # over L: 1000 m by default

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.mechanics import gap_jacobian
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.mechanics import gap_jacobian
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, clearance
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
-from jackbox_env.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, clearance
 
 
 class Moment(NamedTuple):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.command_line import command_line, progress
-from jackbox_env.states import THETA_JACK, X_JACK, Y_JACK
+from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK
+from jackbox_env.tools.command_line import command_line, progress
 
 REPEAT = 4  # control steps of an action
 

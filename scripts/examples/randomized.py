@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 
 RANGES = {"jack_mass": (1.0, 40.0), "restitution": (0.8, 1.0)}
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 TORCH = "torch==2.13.0"  # else the newest build comes, of several GB

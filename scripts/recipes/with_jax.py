@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jackbox_env import Linearization, Scene, linearize
-from jackbox_env.states import THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK
+from jackbox_env.model.states import THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK
 
 jax.config.update("jax_enable_x64", True)
 SCENE, DT, REPEAT = Scene(drive=None), 0.02, 10

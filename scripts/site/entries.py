@@ -11,7 +11,6 @@ from typing import Any
 
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-from jackbox_env.action import landing_share
 from jackbox_env.exact.drives import TABLE_WIDTH
 from jackbox_env.exact.glide import WIDTH
 from jackbox_env.exact.observe import observe_landing, state_in
@@ -20,11 +19,12 @@ from jackbox_env.exact.score import score_one
 from jackbox_env.exact.step import Pieces, make_numbers, make_plan
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT
-from jackbox_env.landing import is_over
 from jackbox_env.mechanics import energy_of
-from jackbox_env.observation import OBSERVATIONS
-from jackbox_env.scene import SceneNumbers, square_inertia
-from jackbox_env.states import clearance
+from jackbox_env.model.action import landing_share
+from jackbox_env.model.landing import is_over
+from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.scene import SceneNumbers, square_inertia
+from jackbox_env.model.states import clearance
 
 MOST_IMPACTS = 128  # recorded of a step
 TERMS = 2  # of a task's reward, at most
@@ -98,7 +98,7 @@ def act(
 ) -> None:
     """The trained agent's SHARE of the torque limit in the step from AFTER.
 
-    It decides after ``longest`` steps, or when an impact ends a decision, see :func:`jackbox_env.landing.is_over`.
+    It decides after ``longest`` steps, or when an impact ends a decision (:func:`jackbox_env.model.landing.is_over`).
     STEPS are those since its decision, -1 before the first.
     """
     d = array(buffer, (LENGTH,))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numba import typeof, types
 
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.tasks import TASKS
+from jackbox_env.model.tasks import TASKS
 from scripts.site import entries
 from scripts.site.webassembly import Export, compile_for_webassembly, module_of
 

@@ -20,9 +20,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from jackbox_env import Recording, Scene, fit, make_simulator
-from jackbox_env.command_line import command_line
-from jackbox_env.states import OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, Array
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.states import OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, Array
+from jackbox_env.model.tasks import sample_start
+from jackbox_env.tools.command_line import command_line
 from scripts.studies import timing
 from scripts.studies.pages import fill, table
 
@@ -138,7 +138,7 @@ def main() -> None:
     import tyro
     from tqdm import tqdm
 
-    from jackbox_env.files import check_writable, write_text
+    from jackbox_env.tools.files import check_writable, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check_writable(arguments.out)

@@ -24,10 +24,10 @@ from agents.policies.network import SHIPPED, write_with_layers
 from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, uprighted
 from agents.policies.value import UNIT, Value, read_value
 from jackbox_env import Rollout, Scene, rollout
-from jackbox_env.command_line import command_line
-from jackbox_env.landing import torques
-from jackbox_env.states import Array
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.landing import torques
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import sample_start
+from jackbox_env.tools.command_line import command_line
 from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level

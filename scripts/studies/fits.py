@@ -23,10 +23,9 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, rollout
-from jackbox_env.command_line import command_line
 from jackbox_env.measure import shooting
 from jackbox_env.measure.shooting import units
-from jackbox_env.states import (
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     RATES,
@@ -38,7 +37,8 @@ from jackbox_env.states import (
     Y_JACK,
     Array,
 )
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.tasks import sample_start
+from jackbox_env.tools.command_line import command_line
 from scripts.studies import timing
 from scripts.studies.pages import fill, table
 
@@ -260,7 +260,7 @@ def main() -> None:
     import tyro
     from tqdm import tqdm
 
-    from jackbox_env.files import check_writable, write_text
+    from jackbox_env.tools.files import check_writable, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check_writable(arguments.out)

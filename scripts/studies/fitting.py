@@ -10,7 +10,7 @@ import torch
 
 from agents.policies.network import Layer
 from agents.policies.value import UNIT, Value
-from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, THETA_BOX, THETA_JACK, VX_BOX, VX_JACK, X_BOX, X_JACK, Array
+from jackbox_env.model.states import OMEGA_BOX, OMEGA_JACK, THETA_BOX, THETA_JACK, VX_BOX, VX_JACK, X_BOX, X_JACK, Array
 
 BATCH = 512
 # Components that change sign if left and right are exchanged.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.policies.network import TRAINED
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 
 
 @dataclass(frozen=True)

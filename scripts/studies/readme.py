@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.policies.network import TRAINED
-from jackbox_env.command_line import command_line
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env.envs.single import JackInBoxEnv
+from jackbox_env.tools.command_line import command_line
 from scripts.studies.pages import fill
 
 ROOT = Path(__file__).parents[2]

@@ -29,10 +29,10 @@ from agents.policies.value import INPUTS
 from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from jackbox_env import Rollout, Scene, Task, rollout
-from jackbox_env.command_line import command_line
-from jackbox_env.scoring import observed
-from jackbox_env.states import Array
-from jackbox_env.tasks import TASKS, sample_start
+from jackbox_env.envs.scoring import observed
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import TASKS, sample_start
+from jackbox_env.tools.command_line import command_line
 from scripts.studies.fitting import layers_of, mirrored
 
 SCENE = Scene(drive=None)

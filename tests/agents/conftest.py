@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from agents.runs import describe
-from jackbox_env.files import new_folder
+from jackbox_env.tools.files import new_folder
 from tests.agents.small_run import TINY
 
 

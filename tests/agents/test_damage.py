@@ -16,7 +16,7 @@ from agents.training import ppo as training
 from agents.training.best import read_evaluations
 from agents.training.checkpoints import CHECKPOINTS, checkpoint_path, steps_of_checkpoints
 from agents.training.models import load_model
-from jackbox_env.files import new_folder
+from jackbox_env.tools.files import new_folder
 from tests.agents.killing import SMALL, check_finished, expected_steps, short_episodes, stop_after
 
 STOPPED = 80  # steps done of the 96, two evaluations among them

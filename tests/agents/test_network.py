@@ -18,7 +18,7 @@ from agents.policies.registry import find_policy
 from agents.policies.value import read_value
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
-from jackbox_env.files import write_json
+from jackbox_env.tools.files import write_json
 from tests.agents.small_run import TINY
 from tests.agents.untrained import layers_for
 

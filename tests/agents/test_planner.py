@@ -14,9 +14,9 @@ from agents.policies.registry import find_policy
 from agents.policies.value import Value
 from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene, Task, rollout
-from jackbox_env.observation import observe, state_of
+from jackbox_env.envs.scoring import observed
+from jackbox_env.model.observation import observe, state_of
 from jackbox_env.planning.icem import coloured_noise
-from jackbox_env.scoring import observed
 from scripts.studies.fitting import mirrored
 from tests.agents.untrained import layers_for, states_in
 

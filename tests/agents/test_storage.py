@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from agents.files import LOCK, DamagedFileError, FolderInUseError, locked, read_json
-from jackbox_env.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
+from jackbox_env.tools.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
 # -- writing ----------------------------------------------------------------------------------------------------------

@@ -205,7 +205,7 @@ def test_the_command_is_killed_and_interrupted_on_two_cores_and_goes_on_to_the_s
 
 MINE = """
 import jackbox_env
-from jackbox_env.tasks import TASKS
+from jackbox_env.model.tasks import TASKS
 
 
 def low(scene, state, torque, impulse):

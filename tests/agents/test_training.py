@@ -22,8 +22,8 @@ from agents.training import ppo as training
 from agents.training.best import choosing_seed
 from agents.training.checkpoints import latest_checkpoint, steps_of_checkpoints
 from agents.training.models import load_model, make_ppo, make_vec_env
-from jackbox_env.files import new_folder
 from jackbox_env.sb3 import DurationBuffer, Durations
+from jackbox_env.tools.files import new_folder
 from tests.agents.killing import stop_after
 from tests.agents.small_run import TINY
 

@@ -7,7 +7,7 @@ import numpy as np
 from agents.policies.network import Layer
 from agents.policies.value import INPUTS
 from jackbox_env import Scene
-from jackbox_env.states import Array
+from jackbox_env.model.states import Array
 from tests.states import inside
 
 

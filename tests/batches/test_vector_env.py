@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 import jackbox_env
 from jackbox_env import Drive, JackInBoxVectorEnv, Scene
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
 from tests.batches.several import EVERY_MODEL, EVERY_SIZE, actions_at, assert_same, play

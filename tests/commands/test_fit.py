@@ -16,8 +16,8 @@ import pytest
 from jackbox_env import Chirp, Recording, Scene, make_simulator, rollout
 from jackbox_env.commands import fit
 from jackbox_env.commands import simulate as simulating
+from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.recording.trajectory import simulate, write_csv
-from jackbox_env.states import STATE_NAMES
 
 pytest.importorskip("scipy")
 cameras = pytest.importorskip("scripts.studies.cameras")

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env.command_line import called, command_line
 from jackbox_env.commands import check
+from jackbox_env.model.states import Array
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from jackbox_env.states import Array
+from jackbox_env.tools.command_line import called, command_line
 
 
 def jackbox(*arguments: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess[str]:

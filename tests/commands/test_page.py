@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from jackbox_env.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
 from jackbox_env.recording.page import write_page
 from jackbox_env.recording.trajectory import Trajectory
+from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
 from tests.browser import Opened
 from tests.commands.test_samples import run
 

@@ -12,8 +12,8 @@ from urllib.parse import quote
 import pytest
 
 from jackbox_env import Scene
+from jackbox_env.model.tasks import TASKS
 from jackbox_env.recording.game import read_game, write_game
-from jackbox_env.tasks import TASKS
 from scripts.site.build import ensure_page
 from tests.browser import Opened
 

@@ -24,10 +24,10 @@ import pytest
 from jackbox_env import JackLostError, Scene, make_simulator
 from jackbox_env.commands import play, replay
 from jackbox_env.exact import compiler
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.tasks import sample_start
 
 ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7}

@@ -78,7 +78,9 @@ def test_a_wheel_contains_the_package_alone(site: Path) -> None:
     tops = {name.split("/")[0] for name in names} - {"..", "bin"}
     assert tops == {"jackbox_env", f"jackbox-{wheel.version}.dist-info"}
     assert "jackbox_env/py.typed" in names
-    assert {f"jackbox_env/page/{path.name}" for path in (ROOT / "jackbox_env" / "page").iterdir()} < names
+    assert {
+        f"jackbox_env/recording/web/{path.name}" for path in (ROOT / "jackbox_env" / "recording" / "web").iterdir()
+    } < names
     assert any(name.endswith("LICENSE") for name in names)
 
 

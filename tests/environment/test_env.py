@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jackbox_env import Chirp, JackInBoxEnv, Scene, make_simulator
-from jackbox_env.observation import BOUNDS, observe
+from jackbox_env.model.observation import BOUNDS, observe
 from tests.states import load
 
 make: Any = functools.partial(gym.make, "JackInBox-v0")

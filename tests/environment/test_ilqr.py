@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Drive, Scene, ilqr, rollout
+from jackbox_env.model.states import X_JACK, Y_JACK, Array
 from jackbox_env.planning import ilqr as method
-from jackbox_env.states import X_JACK, Y_JACK, Array
 
 SCENE = Scene(drive=Drive(force_x=lambda time: 300.0 * math.sin(time)))
 START = np.array([0.0, 0.0, 0.05, 0.5, 0.3, 0.2, 0.0, 0.0, 0.0, 0.4, 0.0, 0.5])

@@ -13,12 +13,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, TaskError
-from jackbox_env.action import Repeats
-from jackbox_env.landing import aim
-from jackbox_env.observation import observation_of, observe
+from jackbox_env.envs.scoring import observed
+from jackbox_env.model.action import Repeats
+from jackbox_env.model.landing import aim
+from jackbox_env.model.observation import observation_of, observe
+from jackbox_env.model.states import State
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.scoring import observed
-from jackbox_env.states import State
 from tests.batches.several import EVERY_MODEL, assert_alike, assert_same
 from tests.batches.test_ends import FALL
 from tests.states import inside

@@ -11,7 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.model.scene import Chirp, Drive, Scene
 
 
 def test_defaults_are_the_documented_scene() -> None:

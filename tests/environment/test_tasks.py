@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import jackbox_env  # noqa: F401
-from jackbox_env.scene import Scene
-from jackbox_env.states import State
-from jackbox_env.tasks import juggle, rattle, spin
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import State
+from jackbox_env.model.tasks import juggle, rattle, spin
 
 Policy = Callable[[Sequence[float], np.random.Generator], float | None]
 SCENE = Scene()

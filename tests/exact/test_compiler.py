@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from jackbox_env.batches.threads import Threads, thread_count
+from jackbox_env.envs.batches.threads import Threads, thread_count
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
 from jackbox_env.exact.trigonometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns

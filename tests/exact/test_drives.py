@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from jackbox_env.envs.vector import JackInBoxVectorEnv
+from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.planning.rollouts import rollout
-from jackbox_env.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import exact
-from jackbox_env.vector_env import JackInBoxVectorEnv
 from tests.simulators.exact_runs import simulator
 from tests.states import inside
 

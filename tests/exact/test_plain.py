@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene, Task, rollout
-from jackbox_env.env import JackInBoxEnv
-from jackbox_env.vector_env import JackInBoxVectorEnv
+from jackbox_env.envs.single import JackInBoxEnv
+from jackbox_env.envs.vector import JackInBoxVectorEnv
 from tests.batches.several import SHAKEN
 from tests.fingerprints import digest
 

@@ -8,8 +8,8 @@ import os
 import numpy as np
 
 from jackbox_env.mechanics import energy, gap_jacobian, gaps
-from jackbox_env.scene import Scene
-from jackbox_env.states import clearance
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from tests.extremes.measures import (
     courses,
     flown,

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.mechanics import energy
-from jackbox_env.scene import Scene
-from jackbox_env.states import clearance
-from jackbox_env.vector_env import JackInBoxVectorEnv
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from tests.extremes.measures import DEEPEST, angular_momentum, momentum, momentum_scale, started
 from tests.extremes.page import MILLIONS, Bound, Finding, case, within
 from tests.states import WEIGHTLESS, Array, inside

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jackbox_env.mechanics import energy, simultaneous_impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from jackbox_env.simulators import Simulator, make_simulator
-from jackbox_env.states import clearance
 from tests.extremes.page import Bound, Finding, Measure, within
 from tests.states import Array
 

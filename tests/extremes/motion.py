@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian, gaps
-from jackbox_env.scene import Chirp, Scene
-from jackbox_env.states import clearance
+from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.states import clearance
 from tests.closed_forms import chirp_motion
 from tests.extremes.measures import (
     DEEPEST,

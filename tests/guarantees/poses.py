@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from tests.states import Array, inside
 
 PAIRS = list(itertools.product(range(4), range(4)))  # (wall, foot)

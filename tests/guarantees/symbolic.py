@@ -20,7 +20,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jackbox_env.mechanics import energy
-from jackbox_env.scene import Chirp, Scene
+from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.states import clearance
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
-from jackbox_env.states import clearance
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 

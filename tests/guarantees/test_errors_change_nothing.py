@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, make_simulator
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.tasks import sample_start
 
 FALLING = np.array([0.0, 0, 0, 3.0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # a foot strikes the floor within the first step
 LOST, UNREWARDED = 1.0, 5e-15  # shares of the torque limit that raise

@@ -11,9 +11,9 @@ import pytest
 from jackbox_env import JackLostError
 from jackbox_env.exact import contact
 from jackbox_env.mechanics import simultaneous_impact_map
-from jackbox_env.scene import Chirp, Scene
+from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.states import clearance
 from jackbox_env.simulators import Impact
-from jackbox_env.states import clearance
 from tests.guarantees.poses import velocity_error
 from tests.simulators.exact_runs import plain_step, simulator
 from tests.states import WEIGHTLESS, Array, load, several_contacts

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.scene import Chirp, Scene
+from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.closed_forms import chirp_motion

@@ -14,8 +14,8 @@ from jackbox_env import Drive, Scene, rollout
 from jackbox_env.exact import constrained
 from jackbox_env.exact.workspace import OMEGA_SQUARED
 from jackbox_env.mechanics import energy, gap_jacobian
-from jackbox_env.states import Array, clearance
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.states import Array, clearance
+from jackbox_env.model.tasks import sample_start
 from tests.simulators.exact_runs import gaps_evaluated, plain_step, simulator
 from tests.states import FLAT, lying
 

@@ -11,9 +11,9 @@ import pytest
 import sympy as sp
 
 from jackbox_env.mechanics import contacts_of, energy, gap_jacobian, gaps, impact_map, impact_maps
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
-from jackbox_env.states import clearance
 from tests.guarantees.poses import (
     PAIRS,
     approaching,

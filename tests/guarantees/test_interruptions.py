@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
-from jackbox_env.batches import exact
-from jackbox_env.batches import threads as batch_threads
+from jackbox_env.envs.batches import exact
+from jackbox_env.envs.batches import threads as batch_threads
 from jackbox_env.exact import compiler, glide, run
 from jackbox_env.exact.workspace import Status
 from tests.states import lying

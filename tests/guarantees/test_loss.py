@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from jackbox_env.complementarity import project
 from jackbox_env.exact import rest, search
 from jackbox_env.exact import step as course
 from jackbox_env.mechanics import energy, gaps
-from jackbox_env.scene import Drive, Scene
-from jackbox_env.states import clearance
+from jackbox_env.model.complementarity import project
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.states import clearance
 from tests.simulators.exact_runs import plain_step, simulator
 from tests.states import Array, lying
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator
-from jackbox_env.one_thread import ThreadNote
+from jackbox_env.tools.one_thread import ThreadNote
 
 
 class Torque:

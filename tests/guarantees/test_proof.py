@@ -15,7 +15,7 @@ import pytest
 from flint import arb, ctx, fmpq
 
 from jackbox_env.exact import bounds, search
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving
 from tests.proof import EVERY_PAIR, FreeFlight, prove, turn_of
@@ -91,7 +91,9 @@ def test_the_proof_shares_only_the_scene_with_what_it_proves() -> None:
     tree = ast.parse(Path(proof.__file__).read_text())
     modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
     plain = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-    assert {name for name in modules | plain if name.split(".")[0] in ("jackbox_env", "tests")} == {"jackbox_env.scene"}
+    assert {name for name in modules | plain if name.split(".")[0] in ("jackbox_env", "tests")} == {
+        "jackbox_env.model.scene"
+    }
 
 
 # -- proven ------------------------------------------------------------------------------------------------------------

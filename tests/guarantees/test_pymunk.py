@@ -9,10 +9,10 @@ import pymunk
 import pytest
 
 from jackbox_env.mechanics import energy
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from jackbox_env.states import clearance
 from tests.states import WEIGHTLESS, inside
 
 # -- impacts -----------------------------------------------------------------------------------------------------------

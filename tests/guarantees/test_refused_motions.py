@@ -10,9 +10,9 @@ import pytest
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, JackLostError, Scene, make_simulator, rollout
 from jackbox_env.mechanics import energy, simultaneous_impact_map
+from jackbox_env.model.states import as_restored, as_start, clearance
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from jackbox_env.states import as_restored, as_start, clearance
 from tests.guarantees.poses import velocity_error
 from tests.simulators.engine import impact_in_an_instant
 from tests.states import Array, several_contacts

@@ -9,9 +9,9 @@ import pytest
 
 from jackbox_env.exact import search as kernel
 from jackbox_env.mechanics import energy
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, clearance
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.states import Array, clearance
 from tests.simulators.exact_runs import gaps_evaluated, plain_step
 
 

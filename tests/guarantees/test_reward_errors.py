@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, TaskError
+from jackbox_env.model.states import OMEGA_JACK
 from jackbox_env.simulators import CONTACT_MODELS
-from jackbox_env.states import OMEGA_JACK
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]

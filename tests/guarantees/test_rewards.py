@@ -23,13 +23,13 @@ from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped
 
 import jackbox_env
 from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, scoring
-from jackbox_env.batches.threads import Threads
+from jackbox_env.envs.batches.threads import Threads
+from jackbox_env.envs.scoring import CompiledFunctions, Nouns, PlainFunctions
 from jackbox_env.exact import act, compiler, observe, score
 from jackbox_env.exact.compiler import cache_folders
-from jackbox_env.scene import SceneNumbers, total
-from jackbox_env.scoring import CompiledFunctions, Nouns, PlainFunctions
+from jackbox_env.model.scene import SceneNumbers, total
+from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators import CONTACT_MODELS
-from jackbox_env.tasks import TASKS
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
@@ -317,7 +317,7 @@ def wrapped():
 def named():
     def mine(scene, state, torque, impulse):
         return (-5.0,)
-    mine.__name__, mine.__qualname__, mine.__module__ = "spin", "spin", "jackbox_env.tasks"
+    mine.__name__, mine.__qualname__, mine.__module__ = "spin", "spin", "jackbox_env.model.tasks"
     return Task(("spin",), mine)
 print(*[paid(globals()[name]() if name in globals() else name) for name in sys.argv[1:]])
 """

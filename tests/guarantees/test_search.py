@@ -12,8 +12,8 @@ from jackbox_env.exact import bounds
 from jackbox_env.exact import flight as motion
 from jackbox_env.exact import search as kernel
 from jackbox_env.exact.workspace import Status, new_workspaces
-from jackbox_env.scene import Scene
-from jackbox_env.states import clearance
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import clearance
 from scripts.studies.speed import measured
 from tests.simulators.exact_runs import plain_step, simulator
 from tests.states import WEIGHTLESS, inside

@@ -16,7 +16,7 @@ import pytest
 from jackbox_env.exact import contact
 from jackbox_env.exact.workspace import new_log, new_workspaces
 from jackbox_env.mechanics import energy, gap_jacobian, gaps, impact_map, simultaneous_impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from tests.fingerprints import digest
 from tests.guarantees.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error

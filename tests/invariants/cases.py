@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from jackbox_env.scene import Chirp, Drive, Scene
+from jackbox_env.model.scene import Chirp, Drive, Scene
 from tests.states import lying
 
 T = TypeVar("T")

@@ -19,10 +19,10 @@ from typing import cast
 import numpy as np
 
 from jackbox_env.mechanics import energy
+from jackbox_env.model.states import Array, clearance, deepest_restored, start_tolerance
 from jackbox_env.simulators import JackLostError, Simulator, make_simulator
 from jackbox_env.simulators.flight import reach
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from jackbox_env.states import Array, clearance, deepest_restored, start_tolerance
 from tests.invariants.cases import Case, Wave
 
 ROUNDING = 1e-11  # of the largest number in a balance, over a case

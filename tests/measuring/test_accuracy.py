@@ -10,11 +10,11 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
 from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, Present
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.replay import flown, replayed
-from jackbox_env.states import Array
-from jackbox_env.tasks import sample_start
 from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)

@@ -14,7 +14,7 @@ from jackbox_env import Chirp, Fit, Recording, Scene, fit, make_simulator, rollo
 from jackbox_env.measure.chain import Chain, Rows, minimise
 from jackbox_env.measure.residuals import autocorrelations, identified, leverage
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.tasks import sample_start
 from tests.states import Array
 
 DT = 0.02

@@ -15,12 +15,12 @@ import numpy as np
 import jackbox_env
 from agents.settings import TrainSettings
 from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
-from jackbox_env.randomization import NUMBERS
+from jackbox_env.model.randomization import NUMBERS
+from jackbox_env.model.states import STATE_NAMES
+from jackbox_env.model.tasks import SLOPES, TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS, Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
-from jackbox_env.states import STATE_NAMES
-from jackbox_env.tasks import SLOPES, TASKS
 from tests.refusals.kinds import Argument, array, choice, each, flag, instance, mask, out, real, size, whole, wrong
 
 START = np.array([0.125, 0.25, 0.5, 0.5, -0.375, 0.25, 0.125, 0.0, 0.25, 3.0, 1.0, 2.0])

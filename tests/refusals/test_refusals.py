@@ -28,9 +28,9 @@ from jackbox_env import (
     rollout,
     states,
 )
+from jackbox_env.model.tasks import juggle
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Simulator
-from jackbox_env.tasks import juggle
 from tests.refusals.kinds import Hostile, out, real
 from tests.refusals.table import START, TABLE, Row, simulator
 

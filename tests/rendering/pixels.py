@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.model.scene import Scene
 from jackbox_env.render.renderer import Renderer
-from jackbox_env.scene import Scene
 
 Frame = NDArray[np.uint8]
 Mask = NDArray[np.bool_]

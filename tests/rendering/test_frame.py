@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from jackbox_env import JackInBoxEnv, Task
+from jackbox_env.model.scene import Scene
 from jackbox_env.render.renderer import Renderer
-from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import ARM, Frame, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
 

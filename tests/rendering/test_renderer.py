@@ -18,8 +18,8 @@ import pygame
 import pytest
 
 from jackbox_env import JackInBoxEnv
+from jackbox_env.model.scene import Scene
 from jackbox_env.render.renderer import Renderer
-from jackbox_env.scene import Scene
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import Frame, Words, blue, draw, pixel, red, renderer_at, state
 
@@ -89,7 +89,7 @@ def test_a_picture_shows_the_scene_that_holds() -> None:
 
 def test_arrays_need_no_display() -> None:
     code = (
-        "from jackbox_env.render.renderer import Renderer; from jackbox_env.scene import Scene; import pygame\n"
+        "from jackbox_env.render.renderer import Renderer; from jackbox_env.model.scene import Scene; import pygame\n"
         "renderer = Renderer(Scene(), 'rgb_array', 50); renderer.reset([0.0] * 12, 0.0)\n"
         "assert renderer.render().shape == (512, 512, 3); assert not pygame.display.get_init(); renderer.close()"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.states import Array
 

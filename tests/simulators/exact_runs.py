@@ -8,7 +8,7 @@ import numpy as np
 
 from jackbox_env.exact import step
 from jackbox_env.exact.workspace import new_log, new_workspaces
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from jackbox_env import simulators
 from jackbox_env.exact.workspace import Call
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator

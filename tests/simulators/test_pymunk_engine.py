@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jackbox_env.mechanics import simultaneous_impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators import contacts
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.guarantees.poses import velocity_error

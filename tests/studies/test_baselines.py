@@ -9,9 +9,9 @@ import pytest
 
 from jackbox_env.measure.accuracy import Case, follow, prefix_errors
 from jackbox_env.mechanics import energy, impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import make_simulator
-from jackbox_env.tasks import sample_start
 from scripts.referee import reference
 from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import compare, reference_of

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from jackbox_env.env import JackInBoxEnv
+from jackbox_env.envs.single import JackInBoxEnv
+from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.exact import compiler as _compiled
 from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
-from jackbox_env.vector_env import JackInBoxVectorEnv
 
 PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
 STEPS = 120  # counted

@@ -11,7 +11,7 @@ import torch
 from agents.policies.network import SHIPPED
 from agents.policies.value import read_value
 from jackbox_env import rollout
-from jackbox_env.tasks import TASKS
+from jackbox_env.model.tasks import TASKS
 from scripts.studies import distil, vine
 from scripts.studies.fitting import layers_of, network
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.command_line import ROOT
 from jackbox_env.measure.accuracy import follow
 from jackbox_env.mechanics import energy
+from jackbox_env.model.states import OMEGA_BOX, THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Array
 from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.states import OMEGA_BOX, THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Array
+from jackbox_env.tools.command_line import ROOT
 from scripts import referee
 from tests import reference
 

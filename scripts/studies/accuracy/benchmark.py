@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jackbox_env.command_line import command_line
-from jackbox_env.files import check_writable, stamped, write_text
 from jackbox_env.simulators.fidelity import FIDELITIES
+from jackbox_env.tools.command_line import command_line
+from jackbox_env.tools.files import check_writable, stamped, write_text
 from scripts.studies.accuracy.measured import (
     ALL,
     BATCH,
@@ -291,7 +291,7 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments, description=__doc__)
     from agents.sweep_ray import runner_for
-    from jackbox_env import checks as check
+    from jackbox_env.tools import checks as check
 
     few = arguments.quick
     cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jackbox_env.measure.accuracy import Case, Course, follow, pose_errors, prefix_errors
+from jackbox_env.model.states import VX_JACK, VY_JACK, X_BOX, X_JACK, Array
 from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
-from jackbox_env.states import VX_JACK, VY_JACK, X_BOX, X_JACK, Array
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]

@@ -20,12 +20,12 @@ from agents.files import read_json
 from agents.runs import PACKAGES, machine, versions
 from agents.sweep import Runner
 from jackbox_env import Scene, make_simulator, rollout
-from jackbox_env.files import replacing, write_json
 from jackbox_env.measure.accuracy import Case, between, follow
+from jackbox_env.model.states import OMEGA_BOX, Array
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
-from jackbox_env.states import OMEGA_BOX, Array
-from jackbox_env.tasks import sample_start
+from jackbox_env.tools.files import replacing, write_json
 from scripts import referee
 from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts

@@ -11,7 +11,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from jackbox_env.commands.plots import GREY  # this import sets the style of all plots
-from jackbox_env.files import replacing
+from jackbox_env.tools.files import replacing
 from scripts.studies.accuracy.measured import (
     BATCH,
     DETECTION,

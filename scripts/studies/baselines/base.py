@@ -8,11 +8,11 @@ from typing import ClassVar
 
 from typing_extensions import override
 
-from jackbox_env import checks as check
 from jackbox_env.measure.accuracy import Between
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.states import OMEGA_BOX, Array, clearance, deepest_restored
 from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
-from jackbox_env.states import OMEGA_BOX, Array, clearance, deepest_restored
+from jackbox_env.tools import checks as check
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
 Pair = tuple[int, int]  # wall, foot

@@ -28,8 +28,8 @@ import Box2D
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian
+from jackbox_env.model.states import OMEGA_BOX, OMEGA_JACK, RATES, VX_BOX, VX_JACK, VY_BOX, VY_JACK, X_JACK
 from jackbox_env.simulators.base import JackLostError
-from jackbox_env.states import OMEGA_BOX, OMEGA_JACK, RATES, VX_BOX, VX_JACK, VY_BOX, VY_JACK, X_JACK
 from scripts.studies.baselines.base import DIRECTIONS, Engine, Pair
 
 _VELOCITY_ITERATIONS, _POSITION_ITERATIONS = 8, 3

@@ -35,8 +35,8 @@ import mujoco
 import numpy as np
 
 from jackbox_env.mechanics import gaps
-from jackbox_env.scene import Scene
-from jackbox_env.states import RATES
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES
 from scripts.studies.baselines.base import DIRECTIONS, Engine, Pair
 
 _STIFFNESS = 2.0  # k h^2

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from jackbox_env.mechanics import impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from jackbox_env.simulators.base import Impact, JackLostError
-from jackbox_env.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from scripts.studies.baselines.base import Baseline, Trace
 
 MOST = 1000  # impacts of one step

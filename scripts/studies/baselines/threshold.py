@@ -21,10 +21,10 @@ from __future__ import annotations
 import numpy as np
 
 from jackbox_env.mechanics import gaps, impact_map
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import RATES, Array, clearance
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
-from jackbox_env.states import RATES, Array, clearance
 from scripts.studies.baselines.base import Baseline, Trace
 
 BAND = 0.1  # [m] a foot this near a wall, on either side, counts as hitting it

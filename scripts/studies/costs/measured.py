@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env import Drive, Scene, Task, linearize, make_simulator
+from jackbox_env.model.tasks import TASKS, juggle, sample_start
 from jackbox_env.planning.rollouts import rollout
-from jackbox_env.tasks import TASKS, juggle, sample_start
 from scripts.studies.timing import Timed
 
 Array = NDArray[np.float64]

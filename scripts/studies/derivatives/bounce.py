@@ -29,7 +29,7 @@ from tqdm import trange
 
 from jackbox_env import Scene, linearize, rollout
 from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
-from jackbox_env.states import (
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     THETA_BOX,

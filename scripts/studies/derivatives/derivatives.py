@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 from scripts.studies import timing
 from scripts.studies.derivatives import bounce, gradients, ilqr, lyapunov
 from scripts.studies.pages import figure, table
@@ -114,7 +114,7 @@ def main() -> None:
     """Parse, measure, draw, write."""
     import tyro
 
-    from jackbox_env.files import check_writable, write_json, write_text
+    from jackbox_env.tools.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 import jackbox_env.torch
 from jackbox_env import Scene
-from jackbox_env.tasks import sample_start
+from jackbox_env.model.tasks import sample_start
 from scripts.studies.derivatives.bounce import REDUCE
 from scripts.studies.derivatives.lyapunov import UNITS
 

@@ -17,11 +17,11 @@ from tqdm import trange
 from agents.policies.scripted import LevelPolicy
 from jackbox_env import Scene, ilqr, rollout
 from jackbox_env.commands.plots import GREY, JACK, write_figure
+from jackbox_env.envs.scoring import observed
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.planning.icem import Search
 from jackbox_env.planning.ilqr import MOST_ITERATIONS
-from jackbox_env.scoring import observed
-from jackbox_env.states import Array
-from jackbox_env.tasks import sample_start
 from scripts.studies.derivatives.lyapunov import with_interval
 
 SCENE = Scene(drive=None)

@@ -24,7 +24,7 @@ from agents.policies.registry import find_policy
 from agents.settings import EPISODE_STEPS, EnvSettings
 from jackbox_env import Scene, linearize
 from jackbox_env.commands.plots import BOX, GREY, JACK, write_figure
-from jackbox_env.states import Array
+from jackbox_env.model.states import Array
 
 SCENE, DT, STARTS, SEED = Scene(), 0.02, 256, 1
 LENGTH, SPEED = SCENE.box_half_width, SCENE.speed_scale

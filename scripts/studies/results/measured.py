@@ -27,7 +27,7 @@ from agents.training.best import read_evaluations
 from agents.training.models import derived_seed
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
-from jackbox_env.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
+from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
 SEED = 1  # decides the starts
 RESAMPLES = 2000

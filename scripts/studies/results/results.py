@@ -12,9 +12,9 @@ import numpy as np
 
 from agents.policies.network import TRAINED
 from agents.policies.planner import FAST_SEARCHES, SEARCHES
-from jackbox_env.command_line import command_line
-from jackbox_env.files import check_writable, replacing, write_text
-from jackbox_env.scene import Scene
+from jackbox_env.model.scene import Scene
+from jackbox_env.tools.command_line import command_line
+from jackbox_env.tools.files import check_writable, replacing, write_text
 from scripts.studies.pages import label_ends, table
 from scripts.studies.results import measured as these
 
@@ -208,7 +208,7 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    from jackbox_env import checks as check
+    from jackbox_env.tools import checks as check
 
     for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
         check.whole(name, getattr(arguments, name), at_least=4)

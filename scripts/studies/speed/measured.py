@@ -31,9 +31,9 @@ from jackbox_env.exact.flight import Flight, View, foot_gap, gap_at, towards, vi
 from jackbox_env.exact.restart import outside
 from jackbox_env.exact.search import NONE, Limits
 from jackbox_env.exact.workspace import Workspace
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.tasks import sample_start
 from jackbox_env.planning import rollouts
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.tasks import sample_start
 from scripts.studies.timing import Timed, repeat
 
 BARE = "bare pymunk loop, 4 substeps"

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from jackbox_env.command_line import command_line
+from jackbox_env.tools.command_line import command_line
 from scripts.studies import timing
 from scripts.studies.pages import figure, rounded, table
 from scripts.studies.speed import measured as these
@@ -179,8 +179,8 @@ def main() -> None:
     """Parse, measure, write, print."""
     import tyro
 
-    from jackbox_env import checks as check
-    from jackbox_env.files import check_writable, write_json, write_text
+    from jackbox_env.tools import checks as check
+    from jackbox_env.tools.files import check_writable, write_json, write_text
 
     arguments = tyro.cli(Arguments, description=__doc__)
     check.whole("rounds", arguments.rounds, at_least=1)

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
-from jackbox_env.scene import Scene, SceneNumbers, total
-from jackbox_env.states import (
+from jackbox_env.model.scene import Scene, SceneNumbers, total
+from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
     THETA_JACK,
@@ -32,6 +31,7 @@ from jackbox_env.states import (
     State,
     as_start,
 )
+from jackbox_env.tools import checks as check
 
 AnyScene = Scene | SceneNumbers
 
@@ -63,7 +63,7 @@ class Task:
     Attributes:
         terms: names of the terms; ``info`` has each as ``reward_<name>``.
         values: function of (scene, state, torque, impulse) that returns a tuple of as many floats, or one float if
-            there is one term. ``scene`` has the fields of :class:`jackbox_env.scene.SceneNumbers`. ``state`` is the
+            there is one term. ``scene`` has the fields of :class:`.scene.SceneNumbers`. ``state`` is the
             :class:`jackbox_env.State` after the step, a tuple of 12 numbers. ``torque`` is the mean over the step
             [N m], ``impulse`` the sum over its impacts [N s].
         over: function of the same that returns True if the step terminates the episode. None: no step does.

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.batches.base import Outcome
-from jackbox_env.states import Array, Flags
+from jackbox_env.envs.batches.base import Outcome
+from jackbox_env.model.states import Array, Flags
 
 Infos = dict[str, Any]
 

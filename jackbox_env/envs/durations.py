@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env import checks as check
+from jackbox_env.tools import checks as check
 
 try:
     import torch

@@ -12,10 +12,10 @@ from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.glide import SCENE_LANES
 from jackbox_env.exact.restart import spread
 from jackbox_env.exact.workspace import Scenes
-from jackbox_env.scene import Chirp, Drive, Scene, SceneNumbers
+from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
+from jackbox_env.model.states import Array, Counts, Flags
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
-from jackbox_env.states import Array, Counts, Flags
 
 AnyDrive = Chirp | Drive | None
 

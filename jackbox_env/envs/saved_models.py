@@ -12,13 +12,13 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from jackbox_env import checks as check
-from jackbox_env.action import ACTIONS, Action
-from jackbox_env.files import replacing, write_json
-from jackbox_env.observation import OBSERVATIONS, Observation
-from jackbox_env.scene import Drive, Scene
+from jackbox_env.model.action import ACTIONS, Action
+from jackbox_env.model.observation import OBSERVATIONS, Observation
+from jackbox_env.model.scene import Drive, Scene
+from jackbox_env.model.tasks import TASKS, Task
 from jackbox_env.simulators.fidelity import KEYWORDS
-from jackbox_env.tasks import TASKS, Task
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import replacing, write_json
 
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm

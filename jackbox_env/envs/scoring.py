@@ -17,14 +17,14 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env import checks as check
-from jackbox_env.action import ACTIONS, Action
-from jackbox_env.observation import OBSERVATIONS, STATE, Observation, bad_observation, observation_of, observe
-from jackbox_env.scene import Scene
+from jackbox_env.model.action import ACTIONS, Action
+from jackbox_env.model.observation import OBSERVATIONS, STATE, Observation, bad_observation, observation_of, observe
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, State
+from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 from jackbox_env.simulators import Simulator, contact_model
 from jackbox_env.simulators.base import total_impulse
-from jackbox_env.states import Array, State
-from jackbox_env.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
+from jackbox_env.tools import checks as check
 
 Seen = NDArray[np.float32]
 Judged = tuple[Seen, Sequence[float], bool]

@@ -1,6 +1,7 @@
 """The vector environment: it sequences a batch of environments, their episodes and restarts.
 
-The batch (:mod:`jackbox_env.batches`) steps the states; this file checks arguments and decides which episodes restart.
+The batch (:mod:`jackbox_env.envs.batches`) steps the states; this file checks arguments and decides which episodes
+restart.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import checks as check
-from jackbox_env.action import Action, Repeats
-from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Limits, Outcome, Starts
-from jackbox_env.batches.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
-from jackbox_env.batches.resets import ResetPlan, as_autoreset_mode, plan_of
-from jackbox_env.env import JackInBoxEnv, Randomize
-from jackbox_env.observation import Observation
-from jackbox_env.one_thread import ThreadNote, by_one_thread
-from jackbox_env.randomization import NUMBERS, Randomization
-from jackbox_env.scene import Scene
-from jackbox_env.settings import Setting, Settings
+from jackbox_env.envs.batches.arguments import Arguments
+from jackbox_env.envs.batches.base import Limits, Outcome, Starts
+from jackbox_env.envs.batches.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
+from jackbox_env.envs.batches.resets import ResetPlan, as_autoreset_mode, plan_of
+from jackbox_env.envs.settings import Setting, Settings
+from jackbox_env.envs.single import JackInBoxEnv, Randomize
+from jackbox_env.model.action import Action, Repeats
+from jackbox_env.model.observation import Observation
+from jackbox_env.model.randomization import NUMBERS, Randomization
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, Flags, Floats, Indices, as_restored
+from jackbox_env.model.tasks import Task
 from jackbox_env.simulators import Impact, contact_model
 from jackbox_env.simulators.fidelity import FURTHER
-from jackbox_env.states import Array, Flags, Floats, Indices, as_restored
-from jackbox_env.tasks import Task
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.one_thread import ThreadNote, by_one_thread
 
 if TYPE_CHECKING:
-    from jackbox_env.batches.exact import ExactBatch
-    from jackbox_env.batches.single import SingleBatch
+    from jackbox_env.envs.batches.exact import ExactBatch
+    from jackbox_env.envs.batches.single import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
 _MOST_STEPS = 10**15  # float64 counts them all
@@ -169,14 +170,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._batch: ExactBatch | SingleBatch
         if single.contact == "exact" and render_mode is None:
-            from jackbox_env.batches.exact import ExactBatch
+            from jackbox_env.envs.batches.exact import ExactBatch
 
             self._batch = ExactBatch(
                 scenes, num_envs, single.nouns, single.control_dt, single.repeat, limits, self._with_infos,
                 num_threads, drawn,
             )  # fmt: skip
         else:
-            from jackbox_env.batches.single import SingleBatch
+            from jackbox_env.envs.batches.single import SingleBatch
 
             self._batch = SingleBatch(
                 scenes, num_envs, limits, self._with_infos, drawn, render_mode=render_mode, **settings

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from jackbox_env import checks as check
-from jackbox_env.batches.arguments import Arguments
-from jackbox_env.batches.base import Change
-from jackbox_env.scene import Scene
-from jackbox_env.states import Array, Flags, as_start
+from jackbox_env.envs.batches.arguments import Arguments
+from jackbox_env.envs.batches.base import Change
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, Flags, as_start
+from jackbox_env.tools import checks as check
 
 
 class ResetPlan(NamedTuple):

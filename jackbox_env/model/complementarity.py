@@ -22,8 +22,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import THETA_BOX, THETA_JACK, Array
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array
 
 _DEPENDENT = 1e-13  # length of a unit row's part orthogonal to the others: below it, the row depends on them
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env import checks as check
-from jackbox_env.action import ACTIONS, Action
-from jackbox_env.batches.base import Change
-from jackbox_env.scene import Scene, scenes_of
-from jackbox_env.states import LATEST_TIME, Array, Flags
+from jackbox_env.envs.batches.base import Change
+from jackbox_env.model.action import ACTIONS, Action
+from jackbox_env.model.scene import Scene, scenes_of
+from jackbox_env.model.states import LATEST_TIME, Array, Flags
+from jackbox_env.tools import checks as check
 
 
 class Arguments:

@@ -11,9 +11,9 @@ from itertools import repeat
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
-from jackbox_env import checks as check
 from jackbox_env.exact.workspace import Call, Status
-from jackbox_env.states import Array
+from jackbox_env.model.states import Array
+from jackbox_env.tools import checks as check
 
 R = TypeVar("R")
 

@@ -14,7 +14,7 @@
 ====  ======================================================  ===========  =====
 
 with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. ``"landing"`` appends the eleven
-numbers of :data:`jackbox_env.landing.FEATURES`. Values are clipped to their bounds. The exact model compiles the
+numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact model compiles the
 functions here and those of a user, see ``exact/observe.py``.
 """
 
@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import checks as check
-from jackbox_env.landing import FEATURE_BOUNDS, FEATURES, at_landing, clipped, landing_features
-from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, Floats, Numbers, State
-from jackbox_env.tasks import TaskError
+from jackbox_env.model.landing import FEATURE_BOUNDS, FEATURES, at_landing, clipped, landing_features
+from jackbox_env.model.scene import Scene, SceneNumbers
+from jackbox_env.model.states import Array, Floats, Numbers, State
+from jackbox_env.model.tasks import TaskError
+from jackbox_env.tools import checks as check
 
 BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
 NAMES = (
@@ -60,7 +60,7 @@ class Observation:
         low: least values, finite: one for all or one for each.
         high: largest values, in the same way, above ``low``.
         values: function of (scene, state, time) that returns a tuple of as many numbers as there are names; they are
-            clipped to the bounds. ``scene`` has the fields of :class:`jackbox_env.scene.SceneNumbers`, ``state`` is the
+            clipped to the bounds. ``scene`` has the fields of :class:`.scene.SceneNumbers`, ``state`` is the
             :class:`jackbox_env.State`, ``time`` is in s.
     """
 

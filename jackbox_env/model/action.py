@@ -16,11 +16,11 @@ from typing import Any, Literal, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env import checks as check
-from jackbox_env.landing import ANGLE, RATE, aim, steps_until_impact
-from jackbox_env.scene import SceneNumbers
-from jackbox_env.states import Array, Flags, State
-from jackbox_env.tasks import TaskError
+from jackbox_env.model.landing import ANGLE, RATE, aim, steps_until_impact
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import Array, Flags, State
+from jackbox_env.model.tasks import TaskError
+from jackbox_env.tools import checks as check
 
 EPISODE_STEPS = 500  # control steps of an episode, if actions are repeated and nothing else is chosen
 _MOST_REPEATS = 1_000_000
@@ -46,7 +46,7 @@ class Action:
         torque: function of (scene, state, action, time, dt) that returns a share of the torque limit, evaluated at the
             start of each control step and constant in it. It is clipped to [-1, 1]; NaN raises
             :class:`jackbox_env.TaskError` and changes nothing. ``scene`` has the fields of
-            :class:`jackbox_env.scene.SceneNumbers`, ``state`` is the :class:`jackbox_env.State`, ``action`` a tuple of
+            :class:`.scene.SceneNumbers`, ``state`` is the :class:`jackbox_env.State`, ``action`` a tuple of
             floats, clipped to the Box, or an int of the Discrete, ``time`` is in s, ``dt`` the control step [s].
     """
 

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.action import ACTIONS, Repeat, clipped_share
-from jackbox_env.batches.base import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.batches.scenes import SceneTable
-from jackbox_env.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
+from jackbox_env.envs.batches.scenes import SceneTable
+from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
 from jackbox_env.exact import act, glide, observe, restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
-from jackbox_env.observation import OBSERVATIONS, STATE, bad_observation
-from jackbox_env.randomization import Randomization
-from jackbox_env.scene import Scene
-from jackbox_env.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
+from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
+from jackbox_env.model.observation import OBSERVATIONS, STATE, bad_observation
+from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, Flags, Floats, Indices
+from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators.base import Impact, end_of_step
 from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure, pieces_for
-from jackbox_env.states import Array, Flags, Floats, Indices
-from jackbox_env.tasks import TaskError, draw_start
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -32,7 +32,7 @@ _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class ExactBatch:
-    """As :class:`jackbox_env.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
+    """As :class:`jackbox_env.envs.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 152 bytes more.
 

@@ -11,23 +11,23 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from jackbox_env.batches.base import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.batches.infos import blank
-from jackbox_env.env import JackInBoxEnv, go_back, moment, put
-from jackbox_env.observation import OBSERVATIONS
-from jackbox_env.randomization import Randomization
-from jackbox_env.scene import Scene
-from jackbox_env.scoring import make_functions
+from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
+from jackbox_env.envs.batches.infos import blank
+from jackbox_env.envs.scoring import make_functions
+from jackbox_env.envs.single import JackInBoxEnv, go_back, moment, put
+from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, Flags, Floats, Indices
+from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators import Impact
-from jackbox_env.states import Array, Flags, Floats, Indices
-from jackbox_env.tasks import TaskError, draw_start
 
 
 class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
     :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
-    commit the results; they cannot fail. :class:`jackbox_env.batches.exact.ExactBatch` has the same methods.
+    commit the results; they cannot fail. :class:`jackbox_env.envs.batches.exact.ExactBatch` has the same methods.
 
     A step moves the environments. If it is not taken, they go back to the moment before it at their next use.
     """

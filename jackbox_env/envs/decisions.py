@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.action import clipped_share
-from jackbox_env.landing import is_over
-from jackbox_env.scoring import Functions
+from jackbox_env.envs.scoring import Functions
+from jackbox_env.model.action import clipped_share
+from jackbox_env.model.landing import is_over
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import checked_reward
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
-from jackbox_env.states import Array
-from jackbox_env.tasks import checked_reward
 
 
 class ControlStep(NamedTuple):
@@ -47,7 +47,7 @@ def decide(
         torque: constant [N m]; None: the drive acts, unless there are controls.
         controls: the numbers of an action, shape (n,), whose torque is computed in each control step; None: none.
         most: control steps, at least 1.
-        resting: see :func:`jackbox_env.landing.is_over`.
+        resting: see :func:`jackbox_env.model.landing.is_over`.
 
     Raises:
         TaskError: a reward, a torque or an observation is NaN, or a reward infinite.

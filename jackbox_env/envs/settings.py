@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
-from jackbox_env import checks as check
+from jackbox_env.tools import checks as check
 
 # Properties of environments that something else changes.
 _SCENE = 'reset(options={"scene": ...}) changes it'

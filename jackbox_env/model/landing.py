@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.scene import Scene, SceneNumbers
-from jackbox_env.states import Array, State
+from jackbox_env.model.scene import Scene, SceneNumbers
+from jackbox_env.model.states import Array, State
 
 QUARTER = 0.5 * math.pi
 LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import checks as check
-from jackbox_env.scene import Scene, SceneNumbers
+from jackbox_env.model.scene import Scene, SceneNumbers
+from jackbox_env.tools import checks as check
 
 
 class State(NamedTuple):

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env import checks as check
-from jackbox_env.scene import Scene, SceneNumbers, between
-from jackbox_env.states import Array
+from jackbox_env.model.scene import Scene, SceneNumbers, between
+from jackbox_env.model.states import Array
+from jackbox_env.tools import checks as check
 
 NUMBERS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)  # that have a range
 _INERTIAS = ("box_inertia", "jack_inertia")

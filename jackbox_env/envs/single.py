@@ -17,18 +17,18 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env import checks as check
-from jackbox_env import tasks
-from jackbox_env.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
-from jackbox_env.decisions import ControlStep, added, decide
-from jackbox_env.observation import Observation, observation_of
-from jackbox_env.randomization import Randomization
-from jackbox_env.scene import Scene
-from jackbox_env.scoring import Functions, Nouns, make_functions, tried
-from jackbox_env.settings import Settings
+from jackbox_env.envs.decisions import ControlStep, added, decide
+from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
+from jackbox_env.envs.settings import Settings
+from jackbox_env.model import tasks
+from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
+from jackbox_env.model.observation import Observation, observation_of
+from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import LATEST_TIME, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import FURTHER, resolve
-from jackbox_env.states import LATEST_TIME, Array, as_start
+from jackbox_env.tools import checks as check
 
 Seen = NDArray[np.float32]
 AnyAction = NDArray[Any] | float | None
@@ -87,7 +87,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     ## Observation Space
 
     `observation` selects it: `"state"` (default), the ten numbers below; `"landing"`, these and the eleven of
-    `jackbox_env.landing.FEATURES`, which foretell the next landing; or a `jackbox_env.Observation` of your own.
+    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; or a `jackbox_env.Observation` of your own.
 
     `"state"` is a `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and
     the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.

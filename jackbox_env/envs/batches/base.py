@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from jackbox_env.action import Repeat
-from jackbox_env.states import Array, Flags, Floats, Indices
+from jackbox_env.model.action import Repeat
+from jackbox_env.model.states import Array, Flags, Floats, Indices
 
 Change = Mapping[str, Any]  # fields of a scene that change
 

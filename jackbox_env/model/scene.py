@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
-from jackbox_env import checks as check
+from jackbox_env.tools import checks as check
 
 # Gauss-Legendre nodes and weights with five points on [0, 1]: exact for polynomials of degree 9.
 _GAUSS = (

@@ -1,0 +1,1 @@
+"""Checked arguments, atomic files, colours, command lines, one thread at a time."""
