@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +53,7 @@ _LAZY = {
     "linearize": "planning.linearization",
     "rollout": "planning.rollouts",
 }
-_FACES = ("mechanics", "sb3", "torch")  # public modules
+_FACES = ("action", "mechanics", "observation", "sb3", "scene", "states", "tasks", "torch")  # modules of public names
 __all__ = [
     "FIDELITIES",
     "Action",
@@ -81,9 +80,6 @@ __all__ = [
     "make_simulator",
     "rollout",
 ]
-
-for _name in ("action", "observation", "scene", "states", "tasks"):  # where pickles of earlier versions find them
-    sys.modules[f"{__name__}.{_name}"] = importlib.import_module(f"{__name__}.model.{_name}")
 
 register(
     id="JackInBox-v0",

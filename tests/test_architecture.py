@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = """
     tools
     model
-    mechanics
+    action mechanics observation scene states tasks
     exact
     simulators
     render
@@ -152,6 +152,15 @@ def test_the_page_has_every_package_in_this_order() -> None:
     rows = (ROOT / "docs" / "architecture.md").read_text().split("|---|---|---|")[1].split("\n\n")[0].splitlines()
     named = [re.findall(r"`([\w.]+)`", row.split("|")[1]) for row in rows if row]
     assert [name for names in named for name in names] == ORDER.split()
+
+
+def test_loose_files_of_the_package_are_faces() -> None:
+    loose = [path for path in (ROOT / "jackbox_env").glob("*.py") if path.stem not in ("__init__", "__main__")]
+    for path in loose:
+        body = ast.parse(path.read_text()).body[1:]  # without the docstring
+        assert all(
+            isinstance(node, ast.ImportFrom) or getattr(node, "targets", [None])[0].id == "__all__" for node in body
+        )
 
 
 def test_imports_go_down_and_not_in_circles() -> None:

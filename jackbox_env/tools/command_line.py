@@ -14,7 +14,7 @@ from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
 
 JACKBOX = "jackbox"  # the command; `jackbox NAME` sets sys.argv[0] to "jackbox NAME"
-ROOT = Path(__file__).parents[1]  # of a checkout; meaningless for an installed package
+ROOT = Path(__file__).parents[2]  # of a checkout; meaningless for an installed package
 _SIGPIPE_STATUS = 128 + 13
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of standard output, which have no file name
 

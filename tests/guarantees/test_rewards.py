@@ -22,7 +22,8 @@ from gymnasium.spaces import Box
 from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
 
 import jackbox_env
-from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, scoring
+from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task
+from jackbox_env.envs import scoring
 from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, PlainFunctions
 from jackbox_env.exact import act, compiler, observe, score
@@ -302,7 +303,8 @@ def test_every_pass_manager_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:
 _PAID = """
 import functools, sys
 import numpy as np
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task, tasks
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Task
+from jackbox_env.model import tasks
 def paid(task):
     env, batch = JackInBoxEnv(contact="exact", task=task), JackInBoxVectorEnv(2, contact="exact", task=task)
     env.reset(seed=0), batch.reset(seed=0)

@@ -14,7 +14,8 @@ import numpy as np
 
 import jackbox_env
 from agents.settings import TrainSettings
-from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics, states
+from jackbox_env import Chirp, Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator, mechanics
+from jackbox_env.model import states
 from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.model.tasks import SLOPES, TASKS
