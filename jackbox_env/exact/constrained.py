@@ -23,10 +23,8 @@ from __future__ import annotations
 
 import math
 
-from jackbox_env.exact.contact import quarter
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
-from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
-from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, excursion, held_view, horner
+from jackbox_env.exact.geometry import View, cos_sin, on_axes, quarter
 from jackbox_env.exact.workspace import (
     ALPHA,
     BOX_COSINE,

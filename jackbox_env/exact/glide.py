@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import centre_curvature_of, farthest, stays_off
-from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
-from jackbox_env.exact.flight import fallen, moved, on_axes, stays_clear, turned
-from jackbox_env.exact.search import STEEPEST
+from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
+from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
+from jackbox_env.exact.search import STEEPEST, centre_curvature_of, farthest, stays_off
 from jackbox_env.exact.step import Plan
-from jackbox_env.exact.trigonometry import LARGEST, cos_sin_within
 from jackbox_env.exact.workspace import (
     AHEAD,
     ALPHA_BOUND,
@@ -117,7 +115,7 @@ def glide_block(dt: float, block: Block) -> None:
 def mark_near(dt: float, block: Block) -> None:
     """Mark the rows where a foot may touch a wall within ``dt`` [s], or where float64 does not resolve the motion.
 
-    The test is first by the jack's distance from the box's centre, then by that from each wall, as in ``bounds.py``.
+    The test is first by the jack's distance from the box's centre, then by that from each wall, as in ``search.py``.
     ``lanes[TURNING]`` bounds the box's angular acceleration [rad/s^2].
     """
     before, lanes, count = block.before, block.lanes, block.size

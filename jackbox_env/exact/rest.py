@@ -16,28 +16,28 @@ it, so the search for the next impact has the same guarantee as in free flight. 
 projected: the held gaps towards 0, by ``Touch.resolution`` at most (1e-13 m, more far from the origin), and their rates
 to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot gain
 energy; that of the positions changes the energy by about the weight times the correction.
-Resolution: with loss, a foot is at rest if it would rise by ``search.contact_resolution`` at most. That is
+Resolution: with loss, a foot is at rest if it would rise by ``contact.contact_resolution`` at most. That is
 ``Touch.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times the
-resolution in energy, with K of ``bounds.py``.
+resolution in energy, with K of ``search.py``.
 """
 
 from __future__ import annotations
 
 import math
 
-from jackbox_env.exact.bounds import bounds_of, parabola_root
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
-from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, rate_of, record_impact, resolve
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
-from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_of
+from jackbox_env.exact.contact import Touch, kick, record_impact, resolve
+from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, flight_of, horner
+from jackbox_env.exact.geometry import Frame, box_frame, frame_of, gradient, rate_of, view_of
 from jackbox_env.exact.search import (
     ALL,
     MOST_WORK,
     NONE,
     UNDECIDED,
     Limits,
-    Touch,
+    bounds_of,
     first_of_all,
+    parabola_root,
     slowest,
     why_undecided,
 )

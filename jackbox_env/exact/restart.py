@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
-from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
+from jackbox_env.exact.step import CONSTANT, make_plan
+from jackbox_env.exact.workspace import make_numbers
 from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
 from jackbox_env.model.tasks import start_pose

@@ -13,11 +13,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jackbox_env.exact.act import block_actor
 from jackbox_env.exact.glide import DECISIONS, LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.observe import block_observer
-from jackbox_env.exact.score import block_scorer
-from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
+from jackbox_env.exact.score import block_actor, block_observer, block_scorer
+from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_plan, step
 from jackbox_env.exact.workspace import (
     ACTIONS,
     APPLIED,
@@ -35,6 +33,7 @@ from jackbox_env.exact.workspace import (
     Status,
     Workspace,
     arguments_at,
+    make_numbers,
 )
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.mechanics import energy_of

@@ -1,16 +1,21 @@
 """Detect: the next impact of a flight, or the proof that there is none.
 
-``step.advance`` calls :func:`first_impact`, and then :func:`strike` to fly to the impact and resolve it. The head of
+``step.advance`` calls :func:`first_impact`, and then flies to the impact and resolves it. The head of
 ``simulators/exact.py`` states order, cost and limits.
 
 Guarantee: gap = L - n . (r + o), with L half the box's width, n a wall's normal, r the jack's centre from the box's,
-o a foot from there, |o| = l. With |gap''| <= K until the horizon (``bounds.py``),
+o a foot from there, |o| = l. With |gap''| <= K until the horizon,
 
     gap(t + s) >= gap + gap' s - K s^2 / 2,
 
 so a walk to the first positive root of that parabola never passes an impact. It converges quadratically if the foot
 arrives at speed. If |r| + l < L throughout, no contact is possible and no gap is evaluated. In a box that turns far, K
 is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
+
+Bounds: with upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of
+|omega_box|, |alpha_box| and |omega_jack - omega_box|, the second derivative of the gap obeys
+
+    |gap''| <= K = a + 2 Omega V + (Omega^2 + A) D + l (S^2 + A).
 """
 
 from __future__ import annotations
@@ -18,32 +23,127 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import (
-    bounds_of,
-    curvature_to_impact,
-    inside,
-    parabola_root,
-    reach_of,
-    rounding,
-    walls_in_reach,
-)
-from jackbox_env.exact.contact import resolve
-from jackbox_env.exact.flight import (
-    Flight,
-    Piece,
-    View,
-    box_frame,
-    driven_at,
-    evolve,
-    foot_gap,
-    gap_at,
-    towards,
-    view_at,
-    view_of,
-)
-from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
+from jackbox_env.exact.contact import deepest, widened
+from jackbox_env.exact.flight import Flight, Piece, gap_at, view_at
+from jackbox_env.exact.geometry import BoxFrame, View, box_frame, foot_gap, towards, view_of
+from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import Array
+
+_SLACK = 1.0 + 1e-12  # for the rounding of bounds
+
+
+class Bounds(NamedTuple):
+    """Upper bounds of the motion until a horizon."""
+
+    far: float  # distance of the centres [m]
+    centre_curvature: float  # of |(n . r)''|, along a wall's normal [m/s^2]
+    foot_curvature: float  # of |(n . o)''| [m/s^2]
+
+
+def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m]."""
+    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, push, horizon)
+
+
+def farthest(x: float, y: float, vx: float, vy: float, gravity: float, push: float, horizon: float) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m], from their relative position and velocity."""
+    end_x, end_y = x + vx * horizon, y + (vy - 0.5 * gravity * horizon) * horizon
+    # The farther end of the chord, and the distance of the bent path from the chord.
+    far = math.sqrt(max(x * x + y * y, end_x * end_x + end_y * end_y))
+    return (far + (0.125 * gravity + 0.5 * push) * horizon * horizon) * _SLACK
+
+
+def bounds_of(scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float) -> Bounds:
+    """Bounds within ``horizon`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
+    far = reach_of(scene, flight, horizon, push)
+    spin = abs(flight.jack_omega - flight.omega) + spin_up * horizon
+    centre_curvature = centre_curvature_of(
+        flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, horizon
+    )
+    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
+
+
+def centre_curvature_of(
+    vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, horizon: float
+) -> float:
+    """Bound of the second derivative of n . r, along a wall's normal, within ``horizon`` [s] [m/s^2].
+
+    The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
+    """
+    speed = math.sqrt(vx * vx + vy * vy) + pull * horizon
+    fastest = abs(omega) + spin_up * horizon
+    return (pull + 2.0 * fastest * speed + (fastest * fastest + spin_up) * far) * _SLACK
+
+
+def curvature_to_impact(
+    scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float, outermost: float
+) -> float:
+    """Bound K of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
+
+    Until then a foot is in the box, sqrt(2) L from its centre at most. Feet that are in a wall now get no deeper
+    without touching: ``outermost`` [m], the largest coordinate of a foot on the box's axes now, replaces L if it is
+    larger. With p the foot's position from the box's centre and n the wall's normal, gap = L - n . p, so
+    |gap''| <= |p''| + 2 |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
+    """
+    arm, spin = scene.jack_arm, abs(flight.jack_omega)
+    pull = scene.gravity + push
+    omega = abs(flight.omega) + spin_up * horizon
+    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * horizon + arm * spin
+    away = 1.4142136 * max(scene.box_half_width, outermost)
+    return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + spin_up) * away) * _SLACK
+
+
+def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> tuple[float, float]:
+    """Times [s] between which no foot can touch, however fast the box turns; 0 and 0 if there are none.
+
+    They may lie outside [0, ``horizon``], where they prove nothing. A foot touches a wall only if its distance from the
+    box's centre is L or more. With r and v the relative position and velocity of the centres, and a bound a of their
+    acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v s| < R = L - l - a horizon^2 / 2.
+    """
+    pull = scene.gravity + push
+    room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * horizon * horizon) * (1.0 - 1e-12)
+    square = flight.vx * flight.vx + flight.vy * flight.vy
+    linear = flight.x * flight.vx + flight.y * flight.vy
+    beyond = flight.x * flight.x + flight.y * flight.y - room * room
+    root = linear * linear - square * beyond
+    if not (room > 0.0 and root > 0.0 and square > 0.0):
+        return 0.0, 0.0
+    root = math.sqrt(root) * (1.0 - 1e-9)
+    return (-linear - root) / square, (root - linear) / square
+
+
+def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, centre_curvature: float) -> int:
+    """Walls that the circle through the jack's feet may touch within ``horizon`` [s], as bits."""
+    reach = 0.5 * centre_curvature * horizon * horizon
+    walls = 0
+    for wall in range(4):
+        ahead, speed = towards(frame, wall)
+        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, horizon, reach):
+            walls |= 1 << wall
+    return walls
+
+
+def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
+    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``horizon`` [s].
+
+    It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
+    """
+    return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
+
+
+def parabola_root(gap: float, rate: float, curvature: float) -> float:
+    """First s > 0 at which gap + rate s - curvature s^2 / 2 is 0, for gap >= 0; infinity if it never is."""
+    root = math.sqrt(rate * rate + 2.0 * curvature * gap)
+    if rate < 0.0:
+        return 2.0 * gap / (root - rate)
+    return (rate + root) / curvature if curvature > 0.0 else math.inf
+
+
+def rounding(scene: SceneNumbers, flight: Flight, horizon: float) -> float:
+    """Rounding of a gap's rate within ``horizon`` [s] [m/s]."""
+    bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * horizon)
+    return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+
 
 # In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
 NONE, UNDECIDED, AT_REST = -1, -2, -3
@@ -55,14 +155,6 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
-_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
-
-
-class Touch(NamedTuple):
-    """Gaps at which feet touch in a step."""
-
-    tolerance: float  # gap at which a foot touches [m]
-    resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
 
 
 class Limits(NamedTuple):
@@ -71,33 +163,6 @@ class Limits(NamedTuple):
     curvature: float  # bound of a gap's second derivative [m/s^2]
     end: float  # of the search, since the flight's start [s]
     half_tolerance: float  # half the contact tolerance [m]
-
-
-def contact_tolerance(scene: SceneNumbers) -> float:
-    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below the rounding of a gap."""
-    return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
-
-
-def deepest(scene: SceneNumbers) -> float:
-    """Depth in a wall up to which a foot may go, and resolutions may grow [m]: 1e-10, less in boxes below 1 m."""
-    return 1e-10 * min(1.0, scene.box_half_width)
-
-
-def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
-    """A ``gap`` [m] doubled with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
-
-    With loss most series of bounces shrink to the resolution by themselves (Zeno), so it grows later.
-    """
-    often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
-    doublings = memory.hits // often
-    part = memory.hits / often - doublings
-    return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
-
-
-def contact_resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
-    """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
-    gap = touch.resolution
-    return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap
 
 
 def is_chattering(scene: SceneNumbers, memory: Workspace) -> bool:
@@ -297,25 +362,6 @@ def search(
             after = s + 2.3e-16 * s
         s = after
         gap, rate = gap_at(scene, flight, memory, pair // 4, pair % 4, s)
-
-
-def strike(
-    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, resolution: float
-) -> None:
-    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
-    evolve(memory, flight, time)
-    memory.elapsed += time
-    memory.evaluations += 1.0
-    if memory.hits < log.shape[0] and log.shape[1] == WIDE:
-        record_state(log[memory.hits], flight, memory, time)
-    resolve(scene, memory, log, resolution, pair // 4, pair % 4)
-
-
-def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
-    """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
-    for index in range(12):
-        row[AT_IMPACT + index] = memory.state[index]
-    row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)
 
 
 def why_undecided(memory: Workspace) -> Status:

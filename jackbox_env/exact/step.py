@@ -5,6 +5,8 @@
 to it, ``contact.py`` resolves it and records it in the log. ``rest.py`` moves the jack while feet rest on walls.
 Positions are measured from the box's centre at the step's start, so a step far from the origin is as accurate as one
 near it.
+A step covers the times in (0, dt]: an impact at its very end belongs to it and not to the next step. Only a foot that
+touches and approaches in the first state strikes at time 0.
 """
 
 from __future__ import annotations
@@ -12,8 +14,25 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
-from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, free_flight, stays_clear
+from jackbox_env.exact.contact import Touch, contact_resolution, contact_tolerance, resolve
+from jackbox_env.exact.flight import (
+    DEGREE,
+    TURN,
+    Flight,
+    Piece,
+    chirp_piece,
+    chirp_pieces,
+    constant_piece,
+    curved_piece,
+    driven_at,
+    evolve,
+    flight_of,
+    free_flight,
+    horner,
+    integrate,
+    stays_clear,
+)
+from jackbox_env.exact.geometry import without_turns
 from jackbox_env.exact.rest import advance_held, record_rest, settle
 from jackbox_env.exact.search import (
     AT_REST,
@@ -21,16 +40,11 @@ from jackbox_env.exact.search import (
     SHORT_HORIZON,
     STEEPEST,
     UNDECIDED,
-    Touch,
-    contact_resolution,
-    contact_tolerance,
     first_impact,
     is_chattering,
-    strike,
     why_undecided,
 )
-from jackbox_env.exact.trigonometry import without_turns
-from jackbox_env.exact.workspace import Status, Workspace
+from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
 from jackbox_env.model.scene import SceneNumbers, chirp_turns
 from jackbox_env.model.states import (
     LARGEST,
@@ -52,7 +66,6 @@ from jackbox_env.model.states import (
 _HOLDING_COST = 40.0
 _LARGEST_RESOLVED = 4.5e12  # its unit in the last place is 1e-3
 _FOUR_ULPS = 8.9e-16  # of 1
-
 # What turns the box in a step: a constant torque (0 if nothing acts), the scene's chirp, the functions of its drive, or
 # a constant torque together with the side forces of its drive.
 CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
@@ -71,17 +84,9 @@ class Plan(NamedTuple):
 class Pieces(NamedTuple):
     """The pieces of one step under a drive of functions: rows ``first`` to ``last`` - 1 of a table."""
 
-    table: Array  # (all pieces, TABLE_WIDTH), see drives.py
+    table: Array  # (all pieces, TABLE_WIDTH), see flight.py
     first: int
     last: int
-
-
-def make_numbers(values: Array) -> SceneNumbers:
-    """The scene's numbers from their array."""
-    return SceneNumbers(
-        values[0], values[1], values[2], values[3], values[4], values[5],
-        values[6], values[7], values[8], values[9], values[10], values[11], values[12],
-    )  # fmt: skip
 
 
 def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
@@ -318,3 +323,22 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         strike(scene, memory, log, flight, time, pair, resolution)
         since += time
     return Status.DONE
+
+
+def strike(
+    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, resolution: float
+) -> None:
+    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
+    evolve(memory, flight, time)
+    memory.elapsed += time
+    memory.evaluations += 1.0
+    if memory.hits < log.shape[0] and log.shape[1] == WIDE:
+        record_state(log[memory.hits], flight, memory, time)
+    resolve(scene, memory, log, resolution, pair // 4, pair % 4)
+
+
+def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
+    """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
+    for index in range(12):
+        row[AT_IMPACT + index] = memory.state[index]
+    row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)

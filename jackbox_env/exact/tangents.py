@@ -20,14 +20,9 @@ Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow 
 
 from __future__ import annotations
 
-from jackbox_env.exact.contact import Frame, frame_of, gradient, inverse_mass, kick, rate_of
-from jackbox_env.exact.step import (
-    CONSTANT,
-    CONSTANT_BESIDE_FORCES,
-    FUNCTIONS,
-    Plan,
-    enter_frame,
-)
+from jackbox_env.exact.contact import inverse_mass, kick
+from jackbox_env.exact.geometry import Frame, frame_of, gradient, rate_of
+from jackbox_env.exact.step import CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, Plan, enter_frame
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags, Floats
 
 
@@ -32,7 +33,7 @@ class Workspace(np.record):  # type: ignore[misc]
     state: Annotated[Array, 12]  # in a frame at the box's centre
     before: Annotated[Array, 12]  # of a tangent: the state just before an impact
     after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
-    powers: Annotated[Array, 9, 16]  # accelerations of the box, see drives.py
+    powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
 
     pairs: Annotated[Counts, 17]  # 4 * wall + foot of the listed gaps
     gaps: Annotated[Array, 17]  # [m]
@@ -63,7 +64,6 @@ class Workspace(np.record):  # type: ignore[misc]
 
 
 Workspaces = NDArray[Any]  # of records
-
 # Rows of a workspace's series, on the box's axes, see constrained.py.
 POSITION_X, POSITION_Y, PSI, TURNED = range(4)  # jack's centre [m], its relative angle, the box's turn [rad]
 RATE_X, RATE_Y, SPIN, OMEGA = range(4, 8)  # their rates, per stretch
@@ -73,7 +73,6 @@ BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of 
 OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
-
 # Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
@@ -213,7 +212,6 @@ NOTHING = Results(
     np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64),
     np.zeros((0, 0)), np.zeros((0, 0), np.bool_),
 )  # fmt: skip
-"""Results of which nothing is filled in."""
 
 
 def example() -> Arguments:
@@ -271,4 +269,12 @@ def pack(
             ),
             Memory(work[0], work[1], work[2]),
         ),
+    )  # fmt: skip
+
+
+def make_numbers(values: Array) -> SceneNumbers:
+    """The scene's numbers from their array."""
+    return SceneNumbers(
+        values[0], values[1], values[2], values[3], values[4], values[5],
+        values[6], values[7], values[8], values[9], values[10], values[11], values[12],
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 ``"torque"`` is a share of the torque limit. ``"landing"`` is the box's angle and rate at the jack's next landing, to
 which ``landing.aim`` steers in each control step. ``"discrete"`` is one of -1, 0 and 1 of the limit. The exact model
-compiles their functions and those of a user, see ``exact/act.py``.
+compiles their functions and those of a user, see ``exact/score.py``.
 """
 
 from __future__ import annotations

@@ -21,10 +21,10 @@ Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostErro
     piece is missed.
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
-    (``trigonometry.py``).
+    (``geometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/search.py``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from jackbox_env.exact.compiler import compiled
-from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
 from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK

@@ -13,7 +13,7 @@ from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_a
 from jackbox_env.envs.batches.scenes import SceneTable
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
-from jackbox_env.exact import act, glide, observe, restart, run, score, workspace
+from jackbox_env.exact import glide, restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
@@ -82,13 +82,13 @@ class ExactBatch:
         task, observation, action = self._nouns
         plain = action is ACTIONS["torque"]
         scorer = compiled_for(task, score.score_block)
-        observer = compiled_for(observation, observe.observe_block if observation is STATE else observe.observe_rows)
-        actor = None if plain else compiled_for(action, act.act_block)
+        observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
+        actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._kind = SHARES if plain else workspace.ACTIONS
         self._addresses = (
-            address_of(scorer, score.block_scorer), address_of(observer, observe.block_observer),
-            address_of(actor, act.block_actor),
+            address_of(scorer, score.block_scorer), address_of(observer, score.block_observer),
+            address_of(actor, score.block_actor),
         )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ class ExactBatch:
 
     def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> int:
         """Write observations into their rows; return the first row with a NaN, or -1."""
-        return int(compiled_for(self._nouns.observation, observe.observe_chosen)(rows, blocks, numbers, observations))
+        return int(compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations))
 
     def _bad_observation(self, observation: Floats, number: int) -> TaskError:
         error = bad_observation(self._nouns.observation, observation.tolist())

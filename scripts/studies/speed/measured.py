@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene, Task, linearize
 from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.flight import Flight, View, foot_gap, gap_at, towards, view_at
+from jackbox_env.exact.flight import Flight, gap_at, view_at
+from jackbox_env.exact.geometry import View, foot_gap, towards
 from jackbox_env.exact.restart import outside
 from jackbox_env.exact.search import NONE, Limits
 from jackbox_env.exact.workspace import Workspace
