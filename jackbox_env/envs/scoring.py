@@ -195,13 +195,13 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
     """
     from jackbox_env.exact.glide import TIME, WIDTH
     from jackbox_env.exact.score import observe_rows
-    from jackbox_env.exact.workspace import LANES
+    from jackbox_env.exact.workspace import SCRATCH
 
     chosen, count = observation_of(observation), len(states)
     block, seen = np.zeros((WIDTH, count)), np.empty((count, len(chosen.names)), dtype=np.float32)
     block[:12], block[TIME] = states.T, time
     numbers = np.array([scene.numbers])
-    bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((LANES, count)), 0, seen)
+    bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((SCRATCH, count)), 0, seen)
     if bad >= 0:
         raise bad_observation(chosen, seen[bad].tolist())
     return seen

@@ -172,7 +172,7 @@ def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: 
         n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
         missing = n_x * x + n_y * y - product(memory, EXTENT + contact, SPIN_SQUARED, k)
         missing -= product(memory, BOX_LEVER + contact, ALPHA, k) + product(memory, JACK_LEVER + contact, JACK_ALPHA, k)
-        memory.lack[contact] = missing
+        memory.rhs[contact] = missing
     solve(scene, memory, count, k)
 
 
@@ -202,13 +202,13 @@ def invert(memory: Workspace, count: int) -> None:
 
 
 def solve(scene: SceneNumbers, memory: Workspace, count: int, k: int) -> None:
-    """Solve power k of J qddot, in ``memory.lack``, for the forces; add their part of the angular accelerations."""
+    """Solve power k of J qddot, in ``memory.rhs``, for the forces; add their part of the angular accelerations."""
     series = memory.series
     box, jack = 0.0, 0.0
     for contact in range(count):
         force = 0.0
         for other in range(count):
-            force += memory.inverse[contact, other] * memory.lack[other]
+            force += memory.inverse[contact, other] * memory.rhs[other]
         series[FORCE + contact, k] = force
         box += series[BOX_LEVER + contact, 0] * force
         jack += series[JACK_LEVER + contact, 0] * force
@@ -237,7 +237,7 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
         series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
         for contact in range(3):
             n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
-            memory.lack[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
+            memory.rhs[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
         solve(scene, memory, 3, k)
         turn(memory, k)
 
@@ -261,8 +261,8 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
     frame = view.frame
     speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
     speed += scene.box_half_width * abs(state[OMEGA_BOX]) + scene.jack_arm * abs(view.spin)
-    turning = abs(state[OMEGA_BOX]) + abs(view.spin) + math.sqrt(piece.spin_up)
-    turning += math.sqrt((scene.gravity + piece.push) / scene.jack_arm)
+    turning = abs(state[OMEGA_BOX]) + abs(view.spin) + math.sqrt(piece.max_angular_acceleration)
+    turning += math.sqrt((scene.gravity + piece.max_acceleration) / scene.jack_arm)
     if turning * length > 1.0:
         length = 1.0 / turning
     drive_series(memory, piece, since, length)
@@ -307,13 +307,13 @@ def halve(memory: Workspace) -> None:
 def curvature_while_held(scene: SceneNumbers, memory: Workspace, length: float) -> float:
     """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
     series = memory.series
-    x, y, spin, spin_up = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
+    x, y, spin, max_angular_acceleration = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
     for k in range(1, DEGREE + 2):
         x += k * abs(series[RATE_X, k])
         y += k * abs(series[RATE_Y, k])
         spin += abs(series[SPIN, k])
-        spin_up += k * abs(series[SPIN, k])
-    bound = max(x, y) + scene.jack_arm * (spin * spin + spin_up)
+        max_angular_acceleration += k * abs(series[SPIN, k])
+    bound = max(x, y) + scene.jack_arm * (spin * spin + max_angular_acceleration)
     return float(bound * (1.0 + 1e-12) / (length * length))
 
 

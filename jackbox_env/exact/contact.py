@@ -11,9 +11,9 @@ compare the two. With w = J M^-1/2 and v = M^1/2 qdot it is v+ = (1 + e) P(v-) -
 to v in the cone w v >= 0. Contacts of a jack and a square have rank 3 at most, so ``complementarity.py`` tries all sets
 of one, two and three contacts.
 
-A gap within the tolerance of :class:`Touch` is a touch, and contacts within its resolution are simultaneous. Both start
-at the rounding of a gap and grow with the impacts of a step up to :func:`deepest`, so that a jack that rests or slides
-costs thousands of impacts, not millions.
+A foot touches within the tolerance of :class:`ContactTolerances`, and contacts within its resolution are simultaneous.
+Both start at the rounding of a gap and grow with the impacts of a step up to :func:`deepest`, so that a jack that rests
+or slides costs thousands of impacts, not millions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.workspace import Workspace
-from jackbox_env.model.complementarity import nearest, weigh
+from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
@@ -108,7 +108,7 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
-    weigh(scene, memory, count, memory.state[RATES:])
+    mass_scale(scene, memory, count, memory.state[RATES:])
     memory.bias[:] = 0.0
     chosen = nearest(memory, count)
     for index in range(3):
@@ -122,7 +122,7 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
 _OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
 
 
-class Touch(NamedTuple):
+class ContactTolerances(NamedTuple):
     """Gaps at which feet touch in a step."""
 
     tolerance: float  # gap at which a foot touches [m]
@@ -150,7 +150,7 @@ def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
     return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
 
 
-def contact_resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
+def contact_resolution(scene: SceneNumbers, memory: Workspace, tolerances: ContactTolerances) -> float:
     """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
-    gap = touch.resolution
+    gap = tolerances.resolution
     return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap

@@ -158,8 +158,8 @@ class Piece(NamedTuple):
     alpha: float  # angular acceleration if it is constant [rad/s^2]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
-    spin_up: float  # bound of the angular acceleration [rad/s^2]
-    push: float  # bound of the centre's acceleration [m/s^2]
+    max_angular_acceleration: float  # bound of the angular acceleration [rad/s^2]
+    max_acceleration: float  # bound of the centre's acceleration [m/s^2]
 
 
 class Flight(NamedTuple):
@@ -190,8 +190,8 @@ def constant_piece(length: float, alpha: float) -> Piece:
 
 def curved_piece(memory: Workspace, length: float, pushed: bool) -> Piece:
     """A piece of ``length`` [s] under the polynomial accelerations in ``memory``."""
-    push = largest(memory, PUSH_X) + largest(memory, PUSH_Y) if pushed else 0.0
-    return Piece(length, 0.0, True, pushed, largest(memory, TURN), push)
+    max_acceleration = largest(memory, PUSH_X) + largest(memory, PUSH_Y) if pushed else 0.0
+    return Piece(length, 0.0, True, pushed, largest(memory, TURN), max_acceleration)
 
 
 def largest(memory: Workspace, axis: int) -> float:
@@ -278,7 +278,7 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
     """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
 
-    ``clear`` is the square of that distance, see ``step.Plan``.
+    ``clear`` is the square of that distance, see ``step.StepParameters``.
     """
     end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
     return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))

@@ -13,12 +13,12 @@ norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mech
 
 Method: over a stretch of time the motion is a power series (``constrained.py``). The gaps of the other feet follow from
 it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the state is
-projected: the held gaps towards 0, by ``Touch.resolution`` at most (1e-13 m, more far from the origin), and their rates
-to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot gain
-energy; that of the positions changes the energy by about the weight times the correction.
+projected: the held gaps towards 0, by ``ContactTolerances.resolution`` at most (1e-13 m, more far from the origin), and
+their rates to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot
+gain energy; that of the positions changes the energy by about the weight times the correction.
 Resolution: with loss, a foot is at rest if it would rise by ``contact.contact_resolution`` at most. That is
-``Touch.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times the
-resolution in energy, with K of ``search.py``.
+``ContactTolerances.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K
+times the resolution in energy, with K of ``search.py``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
-from jackbox_env.exact.contact import Touch, kick, record_impact, resolve
+from jackbox_env.exact.contact import ContactTolerances, kick, record_impact, resolve
 from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, flight_of, horner
 from jackbox_env.exact.geometry import Frame, box_frame, frame_of, gradient, rate_of, view_of
 from jackbox_env.exact.search import (
@@ -42,7 +42,7 @@ from jackbox_env.exact.search import (
     why_undecided,
 )
 from jackbox_env.exact.workspace import FORCE, Status, Workspace
-from jackbox_env.model.complementarity import dot, nearest, project, violation_of, weigh
+from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -99,9 +99,9 @@ def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: i
     return frame
 
 
-def weigh_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
+def mass_scale_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weight the free accelerations and the gradients, and fill in the bias Jdot qdot."""
-    weigh(scene, memory, count, memory.free)
+    mass_scale(scene, memory, count, memory.free)
     for number in range(count):
         turn = bias_acceleration(scene, state, frame, memory.gradients[number], memory.gaps[number])
         memory.bias[number] = turn / memory.lengths[number]
@@ -120,7 +120,7 @@ def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, resolution: 
 
 
 def settle(
-    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, touch: Touch,
+    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, tolerances: ContactTolerances,
     resolution: float,
 ) -> int:  # fmt: skip
     """Determine the feet at rest on walls, and project the state on their constraints.
@@ -140,14 +140,14 @@ def settle(
     """
     state = memory.state
     frame = frame_of(state)
-    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
-    limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * touch.tolerance)
+    bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
+    limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * tolerances.tolerance)
     count = list_slow(scene, memory, frame, resolution, slowest(scene, flight, limits, resolution))
     accelerations(scene, memory, piece, flight.since)
     while count > 0:
         memory.evaluations += 1.0
         list_contacts(scene, memory, memory.state, count)
-        weigh_accelerations(scene, memory, state, frame, count)
+        mass_scale_accelerations(scene, memory, state, frame, count)
         chosen = active_set(memory, count)
         # A foot that would bounce higher than the resolution is not at rest.
         bouncing = -1
@@ -160,7 +160,7 @@ def settle(
                 if rate * rate > 2.0 * resolution * pressed:
                     bouncing = number
         if bouncing < 0:
-            return select_held(scene, memory, touch, resolution, count, chosen)
+            return select_held(scene, memory, tolerances, resolution, count, chosen)
         count -= 1
         memory.pairs[bouncing] = memory.pairs[count]
     return 0
@@ -186,7 +186,12 @@ def active_set(memory: Workspace, count: int) -> tuple[int, int, int]:
 
 
 def select_held(
-    scene: SceneNumbers, memory: Workspace, touch: Touch, resolution: float, count: int, chosen: tuple[int, int, int]
+    scene: SceneNumbers,
+    memory: Workspace,
+    tolerances: ContactTolerances,
+    resolution: float,
+    count: int,
+    chosen: tuple[int, int, int],
 ) -> int:
     """Select the contacts to hold, and project the state on them: the ``chosen``, of the last projection, and others.
 
@@ -224,7 +229,7 @@ def select_held(
     for index in range(size):
         gap = memory.gaps[memory.order[index]]
         memory.order[index] = memory.pairs[memory.order[index]]
-        memory.targets[index] = math.copysign(max(abs(gap) - touch.resolution, 0.0), gap)
+        memory.targets[index] = math.copysign(max(abs(gap) - tolerances.resolution, 0.0), gap)
     for index in range(size):
         memory.pairs[index] = memory.order[index]
     memory.holding = size
@@ -258,14 +263,14 @@ def project_state(scene: SceneNumbers, memory: Workspace) -> None:
     off = 0.0
     for number in range(count):
         off = max(off, abs(memory.gaps[number] - memory.targets[number]))
-    weigh(scene, memory, count, state[RATES:])
+    mass_scale(scene, memory, count, state[RATES:])
     if off > _ROUNDED * scene.box_half_width:
         memory.rates[:] = 0.0
         for number in range(count):
             memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
         move_held(scene, memory, count, X_BOX)
         list_contacts(scene, memory, state, count)
-        weigh(scene, memory, count, state[RATES:])
+        mass_scale(scene, memory, count, state[RATES:])
     memory.bias[:] = 0.0
     move_held(scene, memory, count, RATES)
 
@@ -278,8 +283,8 @@ def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) ->
 
 
 def advance_held(
-    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, resolution: float, since: float,
-    held: int,
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tolerances: ContactTolerances, resolution: float,
+    since: float, held: int,
 ) -> tuple[Status, float]:  # fmt: skip
     """Integrate the motion with held feet to the end of a stretch, an impact, or the first release.
 
@@ -312,7 +317,7 @@ def advance_held(
     )  # fmt: skip
     pair = NONE
     if count < 3:  # else the jack cannot move in the box
-        limits = Limits(curvature_while_held(scene, memory, length), end, 0.5 * touch.tolerance)
+        limits = Limits(curvature_while_held(scene, memory, length), end, 0.5 * tolerances.tolerance)
         end, pair = first_of_all(scene, memory, flight, view, ALL, NONE, limits, -math.inf)
     if pair == UNDECIDED:
         return why_undecided(memory), 0.0

@@ -77,7 +77,7 @@ def observe_values(scene: SceneNumbers, state: Array, time: float, observation: 
     return usable
 
 
-def observe_rows(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> int:
+def observe_rows(values: Array, block: Array, count: int, scratch: Array, low: int, observations: Floats) -> int:
     """Write the observations of a block's first ``count`` rows; return the first with a NaN, or -1.
 
     ``values`` are the scenes' numbers, one row for all environments or one for each; ``low`` is the block's first one.
@@ -90,10 +90,10 @@ def observe_rows(values: Array, block: Array, count: int, lanes: Array, low: int
     return -1
 
 
-def observe_block(values: Array, block: Array, count: int, lanes: Array, low: int, observations: Floats) -> int:
+def observe_block(values: Array, block: Array, count: int, scratch: Array, low: int, observations: Floats) -> int:
     """The same for the ten numbers of :func:`observe`, many rows at a time; always -1."""
     angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
-    cosine, sine, cosine_4, sine_4 = lanes[0], lanes[1], lanes[2], lanes[3]
+    cosine, sine, cosine_4, sine_4 = scratch[0], scratch[1], scratch[2], scratch[3]
     beyond = 0
     for k in range(count):
         cosine[k] = angle[k]
@@ -182,13 +182,13 @@ def tuple_in(size: int) -> Callable[[Array, int], tuple[float, ...]]:
     return numbers_in
 
 
-def act_block(values: Array, before: Array, lanes: Array, controls: Array, first: int, size: int, dt: float) -> int:
+def act_block(values: Array, before: Array, scratch: Array, controls: Array, first: int, size: int, dt: float) -> int:
     """Fill in the torques of a step of a block; return the first row whose torque is NaN, or -1.
 
     Args:
         values: the scenes' numbers, one row for all environments or one for each.
         before: the block before the step.
-        lanes: whose row ``APPLIED`` is filled in [N m]; 0 for episodes that are over.
+        scratch: whose row ``APPLIED`` is filled in [N m]; 0 for episodes that are over.
         controls: actions of all environments, shape (n, N).
         first: number of the block's first environment.
         size: rows of the block.
@@ -196,14 +196,14 @@ def act_block(values: Array, before: Array, lanes: Array, controls: Array, first
     """
     several = values.shape[0] > 1
     for k in range(size):
-        lanes[APPLIED, k] = 0.0
+        scratch[APPLIED, k] = 0.0
         if before[OVER, k] == 0.0:
             number = first + k
             scene, state = make_numbers(values[number if several else 0]), state_in(before[:, k])
             share = 1.0 * action_torque(scene, state, action_in(controls, number), before[TIME, k], dt)  # of a bool too
             if share != share:
                 return k
-            lanes[APPLIED, k] = max(-1.0, min(1.0, share)) * scene.torque_limit
+            scratch[APPLIED, k] = max(-1.0, min(1.0, share)) * scene.torque_limit
     return -1
 
 
@@ -270,7 +270,7 @@ def judge(
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, made: int, rewards: Array,
+    values: Array, after: Array, scratch: Array, over: Array, waiting: int, first: int, made: int, rewards: Array,
     terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
     """Reward a step of a block, and report it if wanted. The task is not evaluated for episodes that are over.
@@ -280,7 +280,7 @@ def score_block(
     Args:
         values: the scenes' numbers, one row for all environments or one for each.
         after: the block after the step.
-        lanes: torques, impacts and impulses of the step, shape (LANES, width).
+        scratch: torques, impacts and impulses of the step, shape (SCRATCH, width).
         over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
@@ -289,7 +289,7 @@ def score_block(
         terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
-    torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
+    torque, hits, impulses, unusable = scratch[TORQUE], scratch[HIT], scratch[IMPULSE_SUM], 0
     ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
     if not (several or waiting):
         scene = make_numbers(values[0])

@@ -10,7 +10,7 @@ o a foot from there, |o| = l. With |gap''| <= K until the horizon,
 
 so a walk to the first positive root of that parabola never passes an impact. It converges quadratically if the foot
 arrives at speed. If |r| + l < L throughout, no contact is possible and no gap is evaluated. In a box that turns far, K
-is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
+is large and many feet may reach many walls: :func:`first_impact_fast_rotation` then follows all of them at once.
 
 Bounds: with upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of
 |omega_box|, |alpha_box| and |omega_jack - omega_box|, the second derivative of the gap obeys
@@ -40,43 +40,52 @@ class Bounds(NamedTuple):
     foot_curvature: float  # of |(n . o)''| [m/s^2]
 
 
-def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> float:
+def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, max_acceleration: float) -> float:
     """Bound of the distance of the centres within ``horizon`` [s] [m]."""
-    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, push, horizon)
+    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, max_acceleration, horizon)
 
 
-def farthest(x: float, y: float, vx: float, vy: float, gravity: float, push: float, horizon: float) -> float:
+def farthest(
+    x: float, y: float, vx: float, vy: float, gravity: float, max_acceleration: float, horizon: float
+) -> float:
     """Bound of the distance of the centres within ``horizon`` [s] [m], from their relative position and velocity."""
     end_x, end_y = x + vx * horizon, y + (vy - 0.5 * gravity * horizon) * horizon
     # The farther end of the chord, and the distance of the bent path from the chord.
     far = math.sqrt(max(x * x + y * y, end_x * end_x + end_y * end_y))
-    return (far + (0.125 * gravity + 0.5 * push) * horizon * horizon) * _SLACK
+    return (far + (0.125 * gravity + 0.5 * max_acceleration) * horizon * horizon) * _SLACK
 
 
-def bounds_of(scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float) -> Bounds:
-    """Bounds within ``horizon`` [s]; the box's angular and linear acceleration stay below ``spin_up`` and ``push``."""
-    far = reach_of(scene, flight, horizon, push)
-    spin = abs(flight.jack_omega - flight.omega) + spin_up * horizon
+def bounds_of(
+    scene: SceneNumbers, flight: Flight, horizon: float, max_angular_acceleration: float, max_acceleration: float
+) -> Bounds:
+    """Bounds within ``horizon`` [s], if the accelerations of the box stay below these."""
+    far = reach_of(scene, flight, horizon, max_acceleration)
+    spin = abs(flight.jack_omega - flight.omega) + max_angular_acceleration * horizon
     centre_curvature = centre_curvature_of(
-        flight.vx, flight.vy, flight.omega, far, scene.gravity + push, spin_up, horizon
+        flight.vx, flight.vy, flight.omega, far, scene.gravity + max_acceleration, max_angular_acceleration, horizon
     )
-    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + spin_up) * _SLACK)
+    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + max_angular_acceleration) * _SLACK)
 
 
 def centre_curvature_of(
-    vx: float, vy: float, omega: float, far: float, pull: float, spin_up: float, horizon: float
+    vx: float, vy: float, omega: float, far: float, pull: float, max_angular_acceleration: float, horizon: float
 ) -> float:
     """Bound of the second derivative of n . r, along a wall's normal, within ``horizon`` [s] [m/s^2].
 
     The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
     """
     speed = math.sqrt(vx * vx + vy * vy) + pull * horizon
-    fastest = abs(omega) + spin_up * horizon
-    return (pull + 2.0 * fastest * speed + (fastest * fastest + spin_up) * far) * _SLACK
+    fastest = abs(omega) + max_angular_acceleration * horizon
+    return (pull + 2.0 * fastest * speed + (fastest * fastest + max_angular_acceleration) * far) * _SLACK
 
 
 def curvature_to_impact(
-    scene: SceneNumbers, flight: Flight, horizon: float, spin_up: float, push: float, outermost: float
+    scene: SceneNumbers,
+    flight: Flight,
+    horizon: float,
+    max_angular_acceleration: float,
+    max_acceleration: float,
+    outermost: float,
 ) -> float:
     """Bound K of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
 
@@ -86,21 +95,21 @@ def curvature_to_impact(
     |gap''| <= |p''| + 2 |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
     """
     arm, spin = scene.jack_arm, abs(flight.jack_omega)
-    pull = scene.gravity + push
-    omega = abs(flight.omega) + spin_up * horizon
+    pull = scene.gravity + max_acceleration
+    omega = abs(flight.omega) + max_angular_acceleration * horizon
     speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * horizon + arm * spin
     away = 1.4142136 * max(scene.box_half_width, outermost)
-    return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + spin_up) * away) * _SLACK
+    return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + max_angular_acceleration) * away) * _SLACK
 
 
-def inside(scene: SceneNumbers, flight: Flight, horizon: float, push: float) -> tuple[float, float]:
+def inside(scene: SceneNumbers, flight: Flight, horizon: float, max_acceleration: float) -> tuple[float, float]:
     """Times [s] between which no foot can touch, however fast the box turns; 0 and 0 if there are none.
 
     They may lie outside [0, ``horizon``], where they prove nothing. A foot touches a wall only if its distance from the
     box's centre is L or more. With r and v the relative position and velocity of the centres, and a bound a of their
     acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v s| < R = L - l - a horizon^2 / 2.
     """
-    pull = scene.gravity + push
+    pull = scene.gravity + max_acceleration
     room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * horizon * horizon) * (1.0 - 1e-12)
     square = flight.vx * flight.vx + flight.vy * flight.vy
     linear = flight.x * flight.vx + flight.y * flight.vy
@@ -200,9 +209,9 @@ def first_impact(
         Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``UNDECIDED`` if that
         takes too much work, ``AT_REST`` if a foot may be at rest now.
     """
-    if reach_of(scene, flight, horizon, piece.push) + scene.jack_arm < scene.box_half_width:
+    if reach_of(scene, flight, horizon, piece.max_acceleration) + scene.jack_arm < scene.box_half_width:
         return horizon, NONE
-    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
+    bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
     frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
     walls = walls_in_reach(scene, frame, horizon, bounds.centre_curvature)
     if walls == 0:
@@ -213,8 +222,8 @@ def first_impact(
     # Half the tolerance, so that the foot that the search locates touches in spite of rounding.
     limits = Limits(curvature, horizon, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
-    if flight.held == 0 and (abs(flight.omega) + piece.spin_up * horizon) * horizon > _TURNED:
-        return first_in_a_turn(scene, memory, flight, view, limits, resolution, piece)
+    if flight.held == 0 and (abs(flight.omega) + piece.max_angular_acceleration * horizon) * horizon > _TURNED:
+        return first_impact_fast_rotation(scene, memory, flight, view, limits, resolution, piece)
     return first_of_all(scene, memory, flight, view, walls, NONE, limits, resolution)
 
 
@@ -262,7 +271,7 @@ def first_of_all(
     return best, UNDECIDED if memory.evaluations > MOST_WORK else pair
 
 
-def first_in_a_turn(
+def first_impact_fast_rotation(
     scene: SceneNumbers,
     memory: Workspace,
     flight: Flight,
@@ -279,9 +288,11 @@ def first_in_a_turn(
     half_tolerance, end = limits.half_tolerance, limits.end
     frame, cosine, sine = view.frame, view.cosine, view.sine
     outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
-    to_impact = curvature_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
+    to_impact = curvature_to_impact(
+        scene, flight, end, piece.max_angular_acceleration, piece.max_acceleration, outermost
+    )
     curvature = min(limits.curvature, to_impact)
-    away, back = inside(scene, flight, end, piece.push)
+    away, back = inside(scene, flight, end, piece.max_acceleration)
     while True:
         frame, cosine, sine, spin, s = view
         step, likely, closing, arrived = end - s, NONE, False, False

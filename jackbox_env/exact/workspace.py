@@ -60,7 +60,7 @@ class Workspace(np.record):  # type: ignore[misc]
     drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
     series: Annotated[Array, 31, 16]  # powers of time over a stretch, in the rows below
     inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T at held feet
-    lack: Annotated[Array, 3]  # of J qddot there
+    rhs: Annotated[Array, 3]  # of J qddot there
 
 
 Workspaces = NDArray[Any]  # of records
@@ -73,16 +73,16 @@ BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of 
 OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
-# Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
+# Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
-# Rows of lanes near a wall, gathered at the front by ``glide.unmark_off_walls``.
+# Rows of lanes near a wall, gathered at the front by ``glide.clear_marks_by_wall_distance``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
 LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
 UNSCORED = 20  # whether a row earns nothing because its episode is over
-FREED = 21  # whether a step of the call had no impact
+SEPARATED = 21  # whether a step of the call had no impact
 APPLIED = 22  # torque of the controls [N m]
-LANES = 23
+SCRATCH = 23
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:
@@ -131,7 +131,7 @@ class Scenes(NamedTuple):
     """The scenes and their drives: one for all rows, or one for each."""
 
     values: Array  # (1 or N, numbers of a scene)
-    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
+    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``restart.spread``
     kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
@@ -150,8 +150,8 @@ class Rules(NamedTuple):
     steps: int
     longest: float  # steps after which an episode is truncated
     kind: int  # of the controls: TORQUES, SHARES or ACTIONS
-    goes_on: bool  # whether rows go on after their episode's end, without rewards
-    resting: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
+    continue_after_done: bool  # whether rows go on after their episode's end, without rewards
+    max_contact_steps: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
     decisions: float  # calls after which an episode is truncated; counted if it is finite
     score: Any  # address of the task's ``score_block``; unused without rewards
     observe: Any  # address of the observation's ``observe_rows``; unused without observations
@@ -179,7 +179,7 @@ class Results(NamedTuple):
 class Memory(NamedTuple):
     """Memory of one thread."""
 
-    lanes: Array  # (LANES, width)
+    scratch: Array  # (SCRATCH, width)
     workspaces: Workspaces  # (1,)
     log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
 
@@ -192,7 +192,7 @@ def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
         impacts: room in the log at first.
         wide: whether the log records the states at impacts, for derivatives.
     """
-    return Memory(np.zeros((LANES, width)), new_workspaces(), new_log(impacts, wide))
+    return Memory(np.zeros((SCRATCH, width)), new_workspaces(), new_log(impacts, wide))
 
 
 class Arguments(NamedTuple):

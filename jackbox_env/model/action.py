@@ -190,7 +190,7 @@ class Repeat(NamedTuple):
     """For how long an action lasts."""
 
     steps: int  # control steps, at most
-    resting: int  # control steps after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
+    max_contact_steps: int  # after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
 
 
 def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:

@@ -36,7 +36,7 @@ def root_mass(scene: SceneNumbers, coordinate: int) -> float:
     return math.sqrt(scene.jack_inertia if coordinate == THETA_JACK else mass)
 
 
-def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
+def mass_scale(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
     """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 scaled to length 1, and their lengths."""
     for index in range(6):
         root = root_mass(scene, index)

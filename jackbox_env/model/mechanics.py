@@ -29,7 +29,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.model.complementarity import nearest, weigh
+from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -211,7 +211,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
         rates=np.zeros(6), projected=np.zeros(6), multipliers=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
         triangle=np.zeros((3, 3)), goals=np.zeros(3),
     )  # fmt: skip
-    weigh(scene.numbers, memory, count, before[RATES:])
+    mass_scale(scene.numbers, memory, count, before[RATES:])
     after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
     for row, number in enumerate(nearest(memory, count)):
         if number >= 0:

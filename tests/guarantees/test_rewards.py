@@ -240,7 +240,9 @@ USERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
         Observation(("seen",), 0.0, 1.0, lambda scene, state, time: (1.0,)), score.observe_one, score.row_observer,
     ),
     "action": lambda: (
-        Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: action[0]), score.act_block, score.block_actor,
+        Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: action[0]),
+        score.act_block,
+        score.block_actor,
     ),
 }  # fmt: skip
 

@@ -104,7 +104,7 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
         outermost = scene.box_half_width - min(
             motion.gap_at(n, flight, work, wall, foot, 0.0)[0] for wall in range(4) for foot in range(4)
         )
-        curvature = kernel.curvature_to_impact(n, flight, duration, piece.spin_up, 0.0, outermost)
+        curvature = kernel.curvature_to_impact(n, flight, duration, piece.max_angular_acceleration, 0.0, outermost)
         away, back = kernel.inside(n, flight, duration, 0.0)
         for wall, foot in ((0, 0), (1, 3), (2, 1)):
             h = until / 60.0

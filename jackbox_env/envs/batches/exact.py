@@ -280,7 +280,7 @@ class ExactBatch:
 
     def step(self, actions: Array | None) -> Outcome:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
-        count, halt, (steps, resting) = self._count, Halt(), self._repeat
+        count, halt, (steps, max_contact_steps) = self._count, Halt(), self._repeat
         terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
         filled = Results(
             np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
@@ -289,7 +289,15 @@ class ExactBatch:
         )  # fmt: skip
         scenes, limits = self._scenes_of_steps(int(actions is not None), steps), self._limits
         rules = Rules(
-            self._dt, steps, limits.steps, self._kind, False, resting, limits.decisions, *self._addresses, run.PATIENCE
+            self._dt,
+            steps,
+            limits.steps,
+            self._kind,
+            False,
+            max_contact_steps,
+            limits.decisions,
+            *self._addresses,
+            run.PATIENCE,
         )
         spare, calls = self._spare, self._calls
         before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
@@ -342,7 +350,7 @@ class ExactBatch:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
-            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
+            return Scenes(scenes.values, scenes.scene_params, scenes.kinds[torque], *NO_PIECES)
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(glide.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
