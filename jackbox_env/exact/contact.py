@@ -32,13 +32,14 @@ _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside i
 
 def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wall: int, foot: int) -> int:
     """List the contacts within ``resolution`` [m], and that of ``wall`` and ``foot``; return how many there are."""
+    contacts = memory.contacts
     frame = frame_of(memory.state)
     count = 0
     for k in range(4):
         for i in range(4):
-            gap = gradient(scene, frame, k, i, memory.gradients[count])
+            gap = gradient(scene, frame, k, i, contacts.gradients[count])
             if gap <= resolution or (k == wall and i == foot):
-                memory.pairs[count], memory.impulses[count], memory.gaps[count] = 4 * k + i, 0.0, gap
+                contacts.pairs[count], contacts.gaps[count], contacts.impulses[count] = 4 * k + i, gap, 0.0
                 count += 1
     return count
 
@@ -48,18 +49,19 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
 
     It changes the velocities in ``memory.state`` and records the impacts.
     """
+    contacts = memory.contacts
     state = memory.state
     count = list_touching(scene, memory, resolution, wall, foot)
-    slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
-    if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
+    slow = rate_of(state, contacts.gradients[0]) > -SLOW * scene.speed_scale
+    if count > 1 or slow or contacts.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
         memory.nonsmooth = 1
     if count == 1:
-        memory.impulses[0] = bounce(scene, state, memory.gradients[0])
+        contacts.impulses[0] = bounce(scene, state, contacts.gradients[0])
     else:
         bounce_together(scene, memory, count)
     for number in range(count):
-        if memory.impulses[number] > 0.0:
-            record_impact(memory, log, memory.elapsed, memory.pairs[number], memory.impulses[number])
+        if contacts.impulses[number] > 0.0:
+            record_impact(memory, log, memory.elapsed, contacts.pairs[number], contacts.impulses[number])
 
 
 def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
@@ -108,15 +110,16 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
-    mass_scale(scene, memory, count, memory.state[RATES:])
-    memory.bias[:] = 0.0
-    chosen = nearest(memory, count)
+    contacts = memory.contacts
+    mass_scale(scene, contacts, count, memory.state[RATES:])
+    contacts.bias[:] = 0.0
+    chosen = nearest(contacts, count)
     for index in range(3):
         number = chosen[index]
         if number >= 0:
-            impulse = (1.0 + scene.restitution) * memory.best[index] / memory.lengths[number]
-            memory.impulses[number] = impulse
-            kick(scene, memory.state[RATES:], memory.gradients[number], impulse)
+            impulse = (1.0 + scene.restitution) * contacts.best[index] / contacts.lengths[number]
+            contacts.impulses[number] = impulse
+            kick(scene, memory.state[RATES:], contacts.gradients[number], impulse)
 
 
 _OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()

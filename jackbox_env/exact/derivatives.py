@@ -101,7 +101,7 @@ def grazes(scene: SceneNumbers, params: StepParameters, hit: Array, memory: Work
 
     Rounding shifts the impact, and so changes its rate by the gap's second derivative times the rounding over the rate.
     """
-    at, row, free = memory.before, memory.gradients[0], memory.free
+    at, row, free = memory.before, memory.contacts.gradients[0], memory.held.free
     locate(scene, hit, memory)
     frame, rate = frame_of(at), rate_of(at, row)
     free[:] = 0.0
@@ -124,7 +124,7 @@ def mark_smooth(played: Played, nonsmooth: Flags, tangent: Array, workspaces: Wo
         workspaces: one, scratch.
     """
     memory, steps = workspaces[0], nonsmooth.shape[1]
-    row, none = memory.gradients[0], played.torques[:0]
+    row, none = memory.contacts.gradients[0], played.torques[:0]
     for i in range(nonsmooth.shape[0]):
         scene, params = scene_of(played, i)
         before = touching(scene, params, played.trajectories[i, 0], row)

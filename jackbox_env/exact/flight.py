@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
 
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, cos_sin, foot_gap, towards, view_of
-from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
+from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, HeldFeet, Workspace
 from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -320,18 +320,18 @@ def gap_at(
 ) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
     memory.evaluations += 1.0
-    view = held_view(flight, memory, s) if flight.held else view_at(flight, memory, s)
+    view = held_view(flight, memory.held, s) if flight.held else view_at(flight, memory, s)
     ahead, speed = towards(view.frame, wall)
     return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
 
 
-def held_view(flight: Flight, memory: Workspace, s: float) -> View:
+def held_view(flight: Flight, held: HeldFeet, s: float) -> View:
     """The jack relative to the box ``s`` [s] into a stretch with feet at rest."""
     length = flight.half
     u = s / length
     frame = BoxFrame(
-        horner(memory.series[POSITION_X], DEGREE + 2, u), horner(memory.series[POSITION_Y], DEGREE + 2, u),
-        horner(memory.series[RATE_X], DEGREE + 1, u) / length, horner(memory.series[RATE_Y], DEGREE + 1, u) / length,
+        horner(held.series[POSITION_X], DEGREE + 2, u), horner(held.series[POSITION_Y], DEGREE + 2, u),
+        horner(held.series[RATE_X], DEGREE + 1, u) / length, horner(held.series[RATE_Y], DEGREE + 1, u) / length,
     )  # fmt: skip
-    spin = horner(memory.series[SPIN], DEGREE + 1, u) / length
-    return view_of(frame, horner(memory.series[PSI], DEGREE + 2, u), spin, s)
+    spin = horner(held.series[SPIN], DEGREE + 1, u) / length
+    return view_of(frame, horner(held.series[PSI], DEGREE + 2, u), spin, s)

@@ -154,8 +154,8 @@ def rounding(scene: SceneNumbers, flight: Flight, horizon: float) -> float:
     return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
 
 
-# In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
-NONE, UNDECIDED, AT_REST = -1, -2, -3
+# Kinds of events: an impact, none within the horizon, undecided after reasonable work, or a foot may be at rest now.
+IMPACT, NO_IMPACT, UNDECIDED, AT_REST = range(4)
 MOST_WORK = 1_000_000  # gap evaluations in one step
 _CHATTER_WORK = 65_536  # gap evaluations before a step may count as chattering
 SHORT_HORIZON = 2.0**-12  # of a piece: how far a chattering step searches ahead
@@ -164,6 +164,15 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
+
+
+class Event(NamedTuple):
+    """What a search has located."""
+
+    kind: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
+    time: float  # since the flight's start [s]; NO_IMPACT: the search's end
+    wall: int  # of an impact
+    foot: int
 
 
 class Limits(NamedTuple):
@@ -193,7 +202,7 @@ def first_impact(
     horizon: float,
     tolerance: float,
     resolution: float,
-) -> tuple[float, int]:
+) -> Event:
     """Locate the first impact of a flight within ``horizon`` [s].
 
     Args:
@@ -206,69 +215,69 @@ def first_impact(
         resolution: gap within which a slow foot may be at rest [m]; -inf: none may.
 
     Returns:
-        Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``UNDECIDED`` if that
-        takes too much work, ``AT_REST`` if a foot may be at rest now.
+        The impact, or an event of another kind.
     """
+    none = Event(NO_IMPACT, horizon, 0, 0)
     if reach_of(scene, flight, horizon, piece.max_acceleration) + scene.jack_arm < scene.box_half_width:
-        return horizon, NONE
+        return none
     bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
     frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
     walls = walls_in_reach(scene, frame, horizon, bounds.centre_curvature)
     if walls == 0:
-        return horizon, NONE
+        return none
     curvature = bounds.centre_curvature + bounds.foot_curvature
     if not curvature < STEEPEST:
-        return horizon, UNDECIDED
+        return Event(UNDECIDED, horizon, 0, 0)
     # Half the tolerance, so that the foot that the search locates touches in spite of rounding.
     limits = Limits(curvature, horizon, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
     if flight.held == 0 and (abs(flight.omega) + piece.max_angular_acceleration * horizon) * horizon > _TURNED:
         return first_impact_fast_rotation(scene, memory, flight, view, limits, resolution, piece)
-    return first_of_all(scene, memory, flight, view, walls, NONE, limits, resolution)
+    return first_of_all(scene, memory, flight, view, walls, none, limits, resolution)
 
 
 def first_of_all(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
-    resolution: float,
-) -> tuple[float, int]:  # fmt: skip
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: Event,
+    limits: Limits, resolution: float,
+) -> Event:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
 
-    There is none before the moment of the ``view``. The pair ``likely``, if there is one, is searched first.
+    There is none before the moment of the ``view``. The contact of ``likely``, if that is an impact, is searched first.
     """
-    best, pair = limits.end, NONE
+    first = Event(NO_IMPACT, limits.end, 0, 0)
     curvature, half_tolerance = limits.curvature, limits.half_tolerance
     frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
-    if likely != NONE:
-        wall, foot = likely // 4, likely % 4
-        ahead, speed = towards(frame, wall)
-        gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-        time = search(scene, memory, flight, limits, likely, since, gap, rate)
-        if time <= best:
-            best, pair = time, likely
+    if likely.kind == IMPACT:
+        ahead, speed = towards(frame, likely.wall)
+        gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, likely.foot - likely.wall)
+        time = search(scene, memory, flight, limits, likely.wall, likely.foot, since, gap, rate)
+        if time <= first.time:
+            first = Event(IMPACT, time, likely.wall, likely.foot)
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(frame, wall)
         nearest = scene.box_half_width - ahead - longest  # gap of the nearest foot, now
-        horizon = best - since
+        horizon = first.time - since
         fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * horizon
         if nearest > half_tolerance and nearest - fall * horizon > 0.0:
             continue
         for foot in range(4):
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-            horizon = best - since
+            horizon = first.time - since
             if gap > half_tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
-            number = 4 * wall + foot
-            if flight.held & (1 << number) or number == likely:
+            searched = likely.kind == IMPACT and likely.wall == wall and likely.foot == foot
+            if flight.held & (1 << (4 * wall + foot)) or searched:
                 continue
             if may_rest(scene, flight, limits, gap, rate, resolution):
-                return 0.0, AT_REST
-            time = search(scene, memory, flight, Limits(curvature, best, half_tolerance), number, since, gap, rate)
-            if time < best or (time == best and pair == NONE):
-                best, pair = time, number
-    return best, UNDECIDED if memory.evaluations > MOST_WORK else pair
+                return Event(AT_REST, 0.0, wall, foot)
+            until = Limits(curvature, first.time, half_tolerance)
+            time = search(scene, memory, flight, until, wall, foot, since, gap, rate)
+            if time < first.time or (time == first.time and first.kind == NO_IMPACT):
+                first = Event(IMPACT, time, wall, foot)
+    return Event(UNDECIDED, first.time, 0, 0) if memory.evaluations > MOST_WORK else first
 
 
 def first_impact_fast_rotation(
@@ -279,13 +288,14 @@ def first_impact_fast_rotation(
     limits: Limits,
     resolution: float,
     piece: Piece,
-) -> tuple[float, int]:
+) -> Event:
     """The first impact in a box that turns far: see :func:`first_impact`.
 
     The bound K grows with the square of the box's angular velocity, and many feet may reach many walls. So all feet
     are followed together, from pose to pose, until one is about to arrive.
     """
     half_tolerance, end = limits.half_tolerance, limits.end
+    none = Event(NO_IMPACT, end, 0, 0)
     frame, cosine, sine = view.frame, view.cosine, view.sine
     outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
     to_impact = curvature_to_impact(
@@ -295,7 +305,7 @@ def first_impact_fast_rotation(
     away, back = inside(scene, flight, end, piece.max_acceleration)
     while True:
         frame, cosine, sine, spin, s = view
-        step, likely, closing, arrived = end - s, NONE, False, False
+        step, likely, closing, arrived = end - s, none, False, False
         for wall in range(4):
             ahead, speed = towards(frame, wall)
             for foot in range(4):
@@ -305,19 +315,20 @@ def first_impact_fast_rotation(
                     arrived = True
                 gap = max(gap, 0.1 * half_tolerance)  # above 0, so that the time advances
                 if gap + (rate - 0.5 * curvature * step) * step <= 0.0:
-                    step, likely = parabola_root(gap, rate, curvature), 4 * wall + foot
+                    step = parabola_root(gap, rate, curvature)
+                    likely = Event(IMPACT, s + step, wall, foot)
                     closing = rate < 0.0 and rate * rate > _CLOSING * curvature * gap
         if arrived or closing or step < _SHORT * end:
             break
         s += step
         if away < s < back:
             s = back
-        if likely == NONE or s >= end:
-            return end, NONE
+        if likely.kind == NO_IMPACT or s >= end:
+            return none
         memory.evaluations += 1.0
         view = view_at(flight, memory, s)
     if view.time == 0.0:
-        return first_of_all(scene, memory, flight, view, ALL, NONE, limits, resolution)
+        return first_of_all(scene, memory, flight, view, ALL, none, limits, resolution)
     return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, half_tolerance), -math.inf)
 
 
@@ -338,11 +349,12 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: flo
 
 
 def search(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, pair: int, s: float, gap: float, rate: float
-) -> float:
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, wall: int, foot: int, s: float, gap: float,
+    rate: float,
+) -> float:  # fmt: skip
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
-    ``s`` [s] is where the search starts, with the ``gap`` [m] and ``rate`` [m/s] of ``pair`` = 4 * wall + foot.
+    ``s`` [s] is where the search starts, with the ``gap`` [m] and ``rate`` [m/s] there.
 
     A foot within half the contact tolerance touches, and one more step to the parabola's root ends the walk. The gap
     stays above that parabola, so the foot is not in the wall there. The step s is at most sqrt(2 gap / K), so the gap
@@ -372,7 +384,7 @@ def search(
                 return s
             after = s + 2.3e-16 * s
         s = after
-        gap, rate = gap_at(scene, flight, memory, pair // 4, pair % 4, s)
+        gap, rate = gap_at(scene, flight, memory, wall, foot, s)
 
 
 def why_undecided(memory: Workspace) -> Status:

@@ -36,10 +36,11 @@ from jackbox_env.exact.geometry import without_turns
 from jackbox_env.exact.rest import advance_held, record_rest, settle
 from jackbox_env.exact.search import (
     AT_REST,
-    NONE,
+    NO_IMPACT,
     SHORT_HORIZON,
     STEEPEST,
     UNDECIDED,
+    Event,
     first_impact,
     is_chattering,
     why_undecided,
@@ -147,16 +148,17 @@ def step(
 
 def reset_counters(memory: Workspace) -> None:
     """Set what is counted during a step to 0."""
+    held = memory.held
     memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
     memory.pieces = 0
-    if memory.holding > 0:
-        memory.holding = 0
-        memory.resting[:] = 0.0
+    if held.holding > 0:
+        held.holding = 0
+        held.resting[:] = 0.0
 
 
 def effort(memory: Workspace) -> float:
     """The cost of the last step, in gap evaluations; feet at rest cost as much as 40 of them."""
-    return float(memory.evaluations + memory.pieces + (_HOLDING_COST if memory.holding > 0 else 0.0))
+    return float(memory.evaluations + memory.pieces + (_HOLDING_COST if memory.held.holding > 0 else 0.0))
 
 
 def tolerances_of(params: StepParameters, before: Array) -> ContactTolerances:
@@ -296,7 +298,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
     Under a constant acceleration it returns FREE if no foot touches a wall. The state is then unchanged, because
     :func:`free_flight` needs no frame at the box. The polynomial accelerations are in ``memory``.
     """
-    memory.released = 0
+    memory.held.released = 0
     since, untouched = 0.0, not piece.curved
     none_rests = False  # whether no foot rests now
     while since < piece.length:
@@ -306,8 +308,8 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         horizon = min(remaining, SHORT_HORIZON * piece.length) if is_chattering(scene, memory) else remaining
         flight = flight_of(scene, memory.state, piece, since)
         rest_resolution = -math.inf if none_rests else resolution
-        time, pair = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
-        if pair == AT_REST:
+        event = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
+        if event.kind == AT_REST:
             held = settle(scene, memory, piece, flight, horizon, tolerances, resolution)
             if held == 0:
                 none_rests = True
@@ -319,10 +321,10 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             since += time
             continue
         none_rests = False
-        memory.released = 0
-        if pair == UNDECIDED:
+        memory.held.released = 0
+        if event.kind == UNDECIDED:
             return why_undecided(memory)
-        if pair == NONE:
+        if event.kind == NO_IMPACT:
             if untouched and horizon == remaining:
                 return Status.FREE
             evolve(memory, flight, horizon)  # without an impact
@@ -333,21 +335,21 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         untouched = False
         # Evolve, resolve, record.
-        strike(scene, memory, log, flight, time, pair, resolution)
-        since += time
+        strike(scene, memory, log, flight, event, resolution)
+        since += event.time
     return Status.DONE
 
 
 def strike(
-    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, resolution: float
+    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, impact: Event, resolution: float
 ) -> None:
-    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
-    evolve(memory, flight, time)
-    memory.elapsed += time
+    """Fly to an impact, and resolve all contacts there."""
+    evolve(memory, flight, impact.time)
+    memory.elapsed += impact.time
     memory.evaluations += 1.0
     if memory.hits < log.shape[0] and log.shape[1] == WIDE:
-        record_state(log[memory.hits], flight, memory, time)
-    resolve(scene, memory, log, resolution, pair // 4, pair % 4)
+        record_state(log[memory.hits], flight, memory, impact.time)
+    resolve(scene, memory, log, resolution, impact.wall, impact.foot)
 
 
 def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:

@@ -118,7 +118,7 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     The search ends with a gap within the tolerance. Returns the time from there until the gap is 0 [s]; the state is
     that of then.
     """
-    at, row = memory.before, memory.gradients[0]
+    at, row = memory.before, memory.contacts.gradients[0]
     for index in range(12):
         at[index] = hit[AT_IMPACT + index]
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
@@ -132,10 +132,10 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
 
 def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
     """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
-    at, row = memory.before, memory.gradients[0]
+    at, row = memory.before, memory.contacts.gradients[0]
     frame, rate, inverse_effective_mass = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
     extent = scene.box_half_width - (row[X_BOX] * frame.x + row[Y_BOX] * frame.y)  # of the foot along the normal
-    impulse, after = -(1.0 + scene.restitution) * rate / inverse_effective_mass, memory.rates
+    impulse, after = -(1.0 + scene.restitution) * rate / inverse_effective_mass, memory.contacts.rates
     for index in range(6):
         after[index] = at[RATES + index]
     kick(scene, after, row, impulse)

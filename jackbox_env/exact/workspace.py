@@ -18,24 +18,10 @@ from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags, Floats
 
 
-class Workspace(np.record):  # type: ignore[misc]
-    """Scratch of one thread: a record of these fields, with the shapes of the arrays. Listed gaps are closed ones."""
+class Contacts(np.record):  # type: ignore[misc]
+    """Listed contacts: those that touch, or those of held feet. Coordinates are weighted by M^1/2 where it says so."""
 
-    hits: int  # impacts of the step so far
-    impulse: float  # of them [N s]
-    evaluations: float  # of gaps
-    pieces: int  # of the drive in the step
-    work: float  # of the call so far, in gap evaluations
-    lane: int  # of a block at which a paused call goes on; 0: at the block's start
-    glided: int  # whether the rows of that block that are in free flight have moved
-    elapsed: float  # since the step's start [s]
-    nonsmooth: int  # 1 if the step has no derivative, or rounding hides it, see derivatives.py
-    state: Annotated[Array, 12]  # in a frame at the box's centre
-    before: Annotated[Array, 12]  # of a tangent: the state just before an impact
-    after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
-    powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
-
-    pairs: Annotated[Counts, 17]  # 4 * wall + foot of the listed gaps
+    pairs: Annotated[Counts, 17]  # 4 * wall + foot
     gaps: Annotated[Array, 17]  # [m]
     gradients: Annotated[Array, 17, 6]
     units: Annotated[Array, 17, 6]  # the same in weighted coordinates, at length 1
@@ -50,21 +36,45 @@ class Workspace(np.record):  # type: ignore[misc]
     triangle: Annotated[Array, 3, 3]
     goals: Annotated[Array, 3]
 
-    holding: int  # number of feet at rest, now or last in this step; they are first in pairs
+
+class HeldFeet(np.record):  # type: ignore[misc]
+    """Feet at rest, and the motion while walls hold them, see ``rest.py`` and ``constrained.py``."""
+
+    holding: int  # number of feet at rest, now or last in this step; they are the first of the listed contacts
     released: int  # feet that were released at this moment, bit 4 * wall + foot of each
     resting: Annotated[Array, 16]  # impulses of held feet in this step [N s], by 4 * wall + foot
-    order: Annotated[Counts, 3]  # of held feet among the listed gaps
+    order: Annotated[Counts, 3]  # of held feet among the listed contacts
     targets: Annotated[Array, 3]  # of their gaps [m]
     free: Annotated[Array, 6]  # accelerations without contact
-    column: Annotated[Array, 3]  # of the inverse of a triangle, see constrained.invert
-    drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
     series: Annotated[Array, 31, 16]  # powers of time over a stretch, in the rows below
-    inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T at held feet
-    rhs: Annotated[Array, 3]  # of J qddot there
+    inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T
+    column: Annotated[Array, 3]  # of the inverse of a triangle, see constrained.invert
+    rhs: Annotated[Array, 3]  # of J qddot
+
+
+class Workspace(np.record):  # type: ignore[misc]
+    """Scratch of one thread: a step's counts and states, and two parts."""
+
+    hits: int  # impacts of the step so far
+    impulse: float  # of them [N s]
+    evaluations: float  # of gaps
+    pieces: int  # of the drive in the step
+    work: float  # of the call so far, in gap evaluations
+    lane: int  # of a block at which a paused call goes on; 0: at the block's start
+    glided: int  # whether the rows of that block that are in free flight have moved
+    elapsed: float  # since the step's start [s]
+    nonsmooth: int  # 1 if the step is not differentiable, or rounding hides its derivative, see derivatives.py
+    state: Annotated[Array, 12]  # in a frame at the box's centre
+    before: Annotated[Array, 12]  # of a tangent: the state just before an impact
+    after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
+    drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
+    powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
+    contacts: Contacts
+    held: HeldFeet
 
 
 Workspaces = NDArray[Any]  # of records
-# Rows of a workspace's series, on the box's axes, see constrained.py.
+# Rows of the series of held feet, on the box's axes, see constrained.py.
 POSITION_X, POSITION_Y, PSI, TURNED = range(4)  # jack's centre [m], its relative angle, the box's turn [rad]
 RATE_X, RATE_Y, SPIN, OMEGA = range(4, 8)  # their rates, per stretch
 ALPHA, JACK_ALPHA = 8, 9  # angular accelerations of box and jack, per stretch squared
@@ -85,18 +95,21 @@ APPLIED = 22  # torque of the controls [N m]
 SCRATCH = 23
 
 
-def _field(name: str, hint: Any) -> tuple[Any, ...]:
-    of, *shape = get_args(hint) or (hint,)
-    return name, np.int64 if of in (int, Counts) else np.float64, tuple(shape)
-
-
-_FIELDS = [_field(*of) for of in get_type_hints(Workspace, include_extras=True).items()]
-_LAYOUT = np.dtype((Workspace, np.dtype(_FIELDS, align=True)))
+def _layout(record: type[np.record]) -> np.dtype[Any]:
+    """The layout of a record with these fields, with the shapes of arrays, and of records within it."""
+    fields = []
+    for name, hint in get_type_hints(record, include_extras=True).items():
+        of, *shape = get_args(hint) or (hint,)
+        kind: Any = np.int64 if of in (int, Counts) else np.float64
+        if of in (Contacts, HeldFeet):
+            kind = _layout(of)
+        fields.append((name, kind, tuple(shape)))
+    return np.dtype((record, np.dtype(fields, align=True)))
 
 
 def new_workspaces() -> Workspaces:
     """The workspace of one thread, as an array of one record."""
-    return np.zeros(1, _LAYOUT)
+    return np.zeros(1, _layout(Workspace))
 
 
 # Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives, adds the

@@ -98,7 +98,7 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
     tightest, quiet = math.inf, 0
     for scene, flight, piece, duration in fast_flights(150, deep):
         n, work = scene.numbers, new_workspaces()[0]
-        until, _ = kernel.first_impact(n, work, flight, piece, duration, 1e-13, 1e-13)
+        until = kernel.first_impact(n, work, flight, piece, duration, 1e-13, 1e-13).time
         if until == 0.0:
             continue
         outermost = scene.box_half_width - min(
