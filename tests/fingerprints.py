@@ -18,7 +18,7 @@ from numba.core.registry import cpu_target
 from jackbox_env import Chirp, Drive, Scene, make_simulator, rollout
 from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.envs.vector import JackInBoxVectorEnv
-from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.geometry import cos_sin
 from jackbox_env.simulators.contacts import iterations_for
 
 Digests = dict[str, str]

@@ -34,7 +34,7 @@ class ControlStep(NamedTuple):
 
 def decide(
     simulator: Simulator, functions: Functions, dt: float, torque: float | None, controls: Array | None, most: float,
-    resting: int,
+    max_contact_steps: int,
 ) -> list[ControlStep]:  # fmt: skip
     """Step a simulator until ``most`` control steps, an impact or the task's end ends a decision.
 
@@ -47,7 +47,7 @@ def decide(
         torque: constant [N m]; None: the drive acts, unless there are controls.
         controls: the numbers of an action, shape (n,), whose torque is computed in each control step; None: none.
         most: control steps, at least 1.
-        resting: see :func:`jackbox_env.model.landing.is_over`.
+        max_contact_steps: see :func:`jackbox_env.model.landing.is_over`.
 
     Raises:
         TaskError: a reward, a torque or an observation is NaN, or a reward infinite.
@@ -55,13 +55,13 @@ def decide(
     """
     if most == 1:
         return [_control_step(simulator, functions, dt, torque, controls, True)]
-    parts, freed = list[ControlStep](), False
+    parts, separated = list[ControlStep](), False
     while len(parts) < most:
         parts.append(_control_step(simulator, functions, dt, torque, controls, False))
         struck = bool(parts[-1].impacts)
-        if parts[-1].over or is_over(len(parts), freed, struck, resting):
+        if parts[-1].over or is_over(len(parts), separated, struck, max_contact_steps):
             break
-        freed = freed or not struck
+        separated = separated or not struck
     last = parts[-1]
     parts[-1] = last._replace(seen=functions.observe(last.state, last.time))
     return parts

@@ -194,14 +194,14 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
         TaskError: a number is NaN.
     """
     from jackbox_env.exact.glide import TIME, WIDTH
-    from jackbox_env.exact.observe import observe_rows
-    from jackbox_env.exact.workspace import LANES
+    from jackbox_env.exact.score import observe_rows
+    from jackbox_env.exact.workspace import SCRATCH
 
     chosen, count = observation_of(observation), len(states)
     block, seen = np.zeros((WIDTH, count)), np.empty((count, len(chosen.names)), dtype=np.float32)
     block[:12], block[TIME] = states.T, time
     numbers = np.array([scene.numbers])
-    bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((LANES, count)), 0, seen)
+    bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((SCRATCH, count)), 0, seen)
     if bad >= 0:
         raise bad_observation(chosen, seen[bad].tolist())
     return seen
@@ -209,10 +209,8 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
 
 def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
     """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
-    from jackbox_env.exact.act import act_one
     from jackbox_env.exact.compiler import address_of, compiled
-    from jackbox_env.exact.observe import observe_one
-    from jackbox_env.exact.score import judge, row_observer, row_scorer, score_one
+    from jackbox_env.exact.score import act_one, judge, observe_one, row_observer, row_scorer, score_one
 
     observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
     act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
@@ -220,7 +218,7 @@ def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
 
 
 def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``exact.score``, ``exact.observe`` or ``exact.act``, compiled once for each task, observation or
+    """A function of ``exact.score``, compiled once for each task, observation or
     action, with its functions as they are then.
 
     Raises:
@@ -265,10 +263,10 @@ def _of_task(task: Task, builtin: bool) -> dict[str, Any]:
 
 
 def _of_observation(observation: Observation, builtin: bool) -> dict[str, Any]:
-    """The same of ``exact.observe``."""
+    """The same for an observation."""
     from numba import config
 
-    from jackbox_env.exact.observe import observe_landing, observe_values
+    from jackbox_env.exact.score import observe_landing, observe_values
 
     if builtin:
         return {} if observation is STATE else {"observe": observe_landing}
@@ -281,11 +279,11 @@ def _of_observation(observation: Observation, builtin: bool) -> dict[str, Any]:
 
 
 def _of_action(action: Action, builtin: bool) -> dict[str, Any]:
-    """The same of ``exact.act``."""
+    """The same for an action."""
     from numba import config
     from numba.core import types
 
-    from jackbox_env.exact.act import choice_in, pair_in, tuple_in
+    from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
     example: Any = (0.0,) * action.size or 0
     read = choice_in if not action.size else pair_in if builtin else tuple_in(action.size)

@@ -381,7 +381,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         simulator = self._simulator
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            parts = decide(*self._parts, self._dt, torque, controls, most, self.repeat.resting)
+            parts = decide(*self._parts, self._dt, torque, controls, most, self.repeat.max_contact_steps)
         except BaseException:
             if before is not None:
                 simulator.restore(before)

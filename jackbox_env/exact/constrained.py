@@ -23,10 +23,8 @@ from __future__ import annotations
 
 import math
 
-from jackbox_env.exact.contact import quarter
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
-from jackbox_env.exact.flight import Flight, Piece, View, excursion, held_view, on_axes
-from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, excursion, held_view, horner
+from jackbox_env.exact.geometry import View, cos_sin, on_axes, quarter
 from jackbox_env.exact.workspace import (
     ALPHA,
     BOX_COSINE,
@@ -51,6 +49,7 @@ from jackbox_env.exact.workspace import (
     SPIN,
     SPIN_SQUARED,
     TURNED,
+    HeldFeet,
     Workspace,
 )
 from jackbox_env.model.scene import SceneNumbers
@@ -72,17 +71,17 @@ from jackbox_env.model.states import (
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
 
 
-def product(memory: Workspace, one: int, other: int, k: int, first: int = 0) -> float:
+def product(held: HeldFeet, one: int, other: int, k: int, first: int = 0) -> float:
     """Power k of the product of two series, of the first one from its power ``first`` on."""
     total = 0.0
     for j in range(first, k + 1):
-        total += memory.series[one, j] * memory.series[other, k - j]
+        total += held.series[one, j] * held.series[other, k - j]
     return total
 
 
 def drive_series(memory: Workspace, piece: Piece, since: float, length: float) -> None:
     """Fill in the accelerations of the box by the drive, from ``since`` [s] after the piece's start on."""
-    series = memory.series
+    series = memory.held.series
     for k in range(DEGREE + 1):
         series[DRIVEN, k] = series[PUSHED_X, k] = series[PUSHED_Y, k] = 0.0
     series[DRIVEN, 0] = piece.alpha * length * length
@@ -95,7 +94,7 @@ def drive_series(memory: Workspace, piece: Piece, since: float, length: float) -
 
 def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, length: float) -> None:
     """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
-    series = memory.series
+    series = memory.held.series
     start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
     for k in range(DEGREE + 1):
         series[row, k] = memory.powers[3 * axis, k]
@@ -108,9 +107,9 @@ def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, le
         scale *= share
 
 
-def begin(memory: Workspace, view: View, angle: float, omega: float, psi: float, length: float) -> None:
+def begin(held: HeldFeet, view: View, angle: float, omega: float, psi: float, length: float) -> None:
     """Fill in the lowest powers."""
-    series = memory.series
+    series = held.series
     frame = view.frame
     series[POSITION_X, 0], series[POSITION_Y, 0] = frame.x, frame.y
     series[PSI, 0], series[TURNED, 0] = psi, 0.0
@@ -125,36 +124,37 @@ def begin(memory: Workspace, view: View, angle: float, omega: float, psi: float,
 def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) -> None:
     """Fill in all powers, from the lowest and the drive's, for a stretch of ``length`` [s].
 
-    The inverse of J M^-1 J^T at its start is in ``memory.inverse``.
+    The inverse of J M^-1 J^T at its start is in ``held.inverse``.
     """
-    series = memory.series
-    count, gravity = memory.holding, scene.gravity * length * length
+    held = memory.held
+    series = held.series
+    count, gravity = held.holding, scene.gravity * length * length
     pliancy = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     for k in range(DEGREE + 1):
-        series[OMEGA_SQUARED, k] = product(memory, OMEGA, OMEGA, k)
-        series[SPIN_SQUARED, k] = product(memory, SPIN, SPIN, k)
-        x = 2.0 * product(memory, OMEGA, RATE_Y, k) + product(memory, OMEGA_SQUARED, POSITION_X, k)
-        y = -2.0 * product(memory, OMEGA, RATE_X, k) + product(memory, OMEGA_SQUARED, POSITION_Y, k)
+        series[OMEGA_SQUARED, k] = product(held, OMEGA, OMEGA, k)
+        series[SPIN_SQUARED, k] = product(held, SPIN, SPIN, k)
+        x = 2.0 * product(held, OMEGA, RATE_Y, k) + product(held, OMEGA_SQUARED, POSITION_X, k)
+        y = -2.0 * product(held, OMEGA, RATE_X, k) + product(held, OMEGA_SQUARED, POSITION_Y, k)
         x -= gravity * series[BOX_SINE, k]
         y -= gravity * series[BOX_COSINE, k]
         if pushed:
-            x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
-            y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
+            x -= product(held, BOX_COSINE, PUSHED_X, k) + product(held, BOX_SINE, PUSHED_Y, k)
+            y -= product(held, BOX_COSINE, PUSHED_Y, k) - product(held, BOX_SINE, PUSHED_X, k)
         solve_forces(scene, memory, count, k, x, y)
         for contact in range(count):
-            n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
+            n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
             x -= pliancy * n_x * series[FORCE + contact, k]
             y -= pliancy * n_y * series[FORCE + contact, k]
-        x += product(memory, ALPHA, POSITION_Y, k)
-        y -= product(memory, ALPHA, POSITION_X, k)
+        x += product(held, ALPHA, POSITION_Y, k)
+        y -= product(held, ALPHA, POSITION_X, k)
         share, later = SHARES[k], SHARES[k + 1]
         series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for index in range(3):
             series[POSITION_X + index, k + 2] = later * series[RATE_X + index, k + 1]
-        turn(memory, k)
-        series[COSINE, k + 1] = -share * product(memory, SINE, SPIN, k)
-        series[SINE, k + 1] = share * product(memory, COSINE, SPIN, k)
+        turn(held, k)
+        series[COSINE, k + 1] = -share * product(held, SINE, SPIN, k)
+        series[SINE, k + 1] = share * product(held, COSINE, SPIN, k)
 
 
 def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: float, y: float) -> None:
@@ -162,26 +162,27 @@ def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: 
 
     ``x`` and ``y`` are power k of the relative acceleration without forces and without alpha.
     """
-    series = memory.series
+    held = memory.held
+    series = held.series
     box = jack = 0.0
     for contact in range(count):
         write_levers(scene, memory, contact, k)
-        box += product(memory, BOX_LEVER + contact, FORCE + contact, k, 1)
-        jack += product(memory, JACK_LEVER + contact, FORCE + contact, k, 1)
+        box += product(held, BOX_LEVER + contact, FORCE + contact, k, 1)
+        jack += product(held, JACK_LEVER + contact, FORCE + contact, k, 1)
     series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for contact in range(count):
-        n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
-        missing = n_x * x + n_y * y - product(memory, EXTENT + contact, SPIN_SQUARED, k)
-        missing -= product(memory, BOX_LEVER + contact, ALPHA, k) + product(memory, JACK_LEVER + contact, JACK_ALPHA, k)
-        memory.lack[contact] = missing
-    solve(scene, memory, count, k)
+        n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
+        missing = n_x * x + n_y * y - product(held, EXTENT + contact, SPIN_SQUARED, k)
+        missing -= product(held, BOX_LEVER + contact, ALPHA, k) + product(held, JACK_LEVER + contact, JACK_ALPHA, k)
+        held.rhs[contact] = missing
+    solve(scene, held, count, k)
 
 
 def write_levers(scene: SceneNumbers, memory: Workspace, contact: int, k: int) -> None:
     """Fill in power k of a held foot's levers and extent."""
-    series = memory.series
-    wall, foot = memory.pairs[contact] // 4, memory.pairs[contact] % 4
+    series = memory.held.series
+    wall, foot = memory.contacts.pairs[contact] // 4, memory.contacts.pairs[contact] % 4
     along, across = quarter(series[COSINE, k], series[SINE, k], foot - wall)
     _, aside = quarter(series[POSITION_X, k], -series[POSITION_Y, k], wall)  # -n^perp . (X, Y)
     series[EXTENT + contact, k], series[JACK_LEVER + contact, k] = scene.jack_arm * along, scene.jack_arm * across
@@ -189,28 +190,29 @@ def write_levers(scene: SceneNumbers, memory: Workspace, contact: int, k: int) -
 
 
 def invert(memory: Workspace, count: int) -> None:
-    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = ``memory.triangle`` times ``memory.lengths``, upper triangular."""
+    """Fill in (J M^-1 J^T)^-1 = R^-1 R^-T, from R = triangle times lengths of the contacts."""
+    contacts, held = memory.contacts, memory.held
     for a in range(count):
         for b in range(a + 1):
-            memory.column[b] = 1.0 if a == b else 0.0
+            held.column[b] = 1.0 if a == b else 0.0
         for b in range(a, -1, -1):  # column a of R^-1
             for c in range(b + 1, a + 1):
-                memory.column[b] -= memory.triangle[b, c] * memory.lengths[c] * memory.column[c]
-            memory.column[b] /= memory.triangle[b, b] * memory.lengths[b]
+                held.column[b] -= contacts.triangle[b, c] * contacts.lengths[c] * held.column[c]
+            held.column[b] /= contacts.triangle[b, b] * contacts.lengths[b]
         for b in range(a + 1):
             for c in range(a + 1):
-                before = memory.inverse[b, c] if b < a and c < a else 0.0
-                memory.inverse[b, c] = before + memory.column[b] * memory.column[c]
+                before = held.inverse[b, c] if b < a and c < a else 0.0
+                held.inverse[b, c] = before + held.column[b] * held.column[c]
 
 
-def solve(scene: SceneNumbers, memory: Workspace, count: int, k: int) -> None:
-    """Solve power k of J qddot, in ``memory.lack``, for the forces; add their part of the angular accelerations."""
-    series = memory.series
+def solve(scene: SceneNumbers, held: HeldFeet, count: int, k: int) -> None:
+    """Solve power k of J qddot, in ``rhs``, for the forces; add their part of the angular accelerations."""
+    series = held.series
     box, jack = 0.0, 0.0
     for contact in range(count):
         force = 0.0
         for other in range(count):
-            force += memory.inverse[contact, other] * memory.lack[other]
+            force += held.inverse[contact, other] * held.rhs[other]
         series[FORCE + contact, k] = force
         box += series[BOX_LEVER + contact, 0] * force
         jack += series[JACK_LEVER + contact, 0] * force
@@ -223,7 +225,8 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
 
     Only the box's angle changes: that of a rigid body on which the weight of the jack has a lever.
     """
-    series = memory.series
+    held = memory.held
+    series = held.series
     gravity, x0, y0 = scene.gravity * length * length, series[POSITION_X, 0], series[POSITION_Y, 0]
     for row in (POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN):
         for k in range(0 if row >= RATE_X else 1, DEGREE + 3):
@@ -231,27 +234,27 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
     for contact in range(3):
         write_levers(scene, memory, contact, 0)
     for k in range(DEGREE + 1):
-        squared = product(memory, OMEGA, OMEGA, k)
+        squared = product(held, OMEGA, OMEGA, k)
         x, y = squared * x0 - gravity * series[BOX_SINE, k], squared * y0 - gravity * series[BOX_COSINE, k]
         if pushed:
-            x -= product(memory, BOX_COSINE, PUSHED_X, k) + product(memory, BOX_SINE, PUSHED_Y, k)
-            y -= product(memory, BOX_COSINE, PUSHED_Y, k) - product(memory, BOX_SINE, PUSHED_X, k)
+            x -= product(held, BOX_COSINE, PUSHED_X, k) + product(held, BOX_SINE, PUSHED_Y, k)
+            y -= product(held, BOX_COSINE, PUSHED_Y, k) - product(held, BOX_SINE, PUSHED_X, k)
         series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
         for contact in range(3):
-            n_x, n_y = quarter(1.0, 0.0, memory.pairs[contact] // 4)
-            memory.lack[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
-        solve(scene, memory, 3, k)
-        turn(memory, k)
+            n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
+            held.rhs[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
+        solve(scene, held, 3, k)
+        turn(held, k)
 
 
-def turn(memory: Workspace, k: int) -> None:
+def turn(held: HeldFeet, k: int) -> None:
     """Fill in the next powers of the box's rotation, from power k of its angular acceleration."""
-    series = memory.series
+    series = held.series
     share = SHARES[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
     series[TURNED, k + 2] = SHARES[k + 1] * series[OMEGA, k + 1]
-    series[BOX_COSINE, k + 1] = -share * product(memory, BOX_SINE, OMEGA, k)
-    series[BOX_SINE, k + 1] = share * product(memory, BOX_COSINE, OMEGA, k)
+    series[BOX_COSINE, k + 1] = -share * product(held, BOX_SINE, OMEGA, k)
+    series[BOX_SINE, k + 1] = share * product(held, BOX_COSINE, OMEGA, k)
 
 
 def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, view: View) -> float:
@@ -259,33 +262,34 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
 
     It holds to the end of the piece, or as long as its last powers are rounding; 0 if no time is so short.
     """
+    held = memory.held
     state, length = memory.state, piece.length - since
     frame = view.frame
     speed = scene.speed_scale + abs(frame.vx) + abs(frame.vy)
     speed += scene.box_half_width * abs(state[OMEGA_BOX]) + scene.jack_arm * abs(view.spin)
-    turning = abs(state[OMEGA_BOX]) + abs(view.spin) + math.sqrt(piece.spin_up)
-    turning += math.sqrt((scene.gravity + piece.push) / scene.jack_arm)
+    turning = abs(state[OMEGA_BOX]) + abs(view.spin) + math.sqrt(piece.max_angular_acceleration)
+    turning += math.sqrt((scene.gravity + piece.max_acceleration) / scene.jack_arm)
     if turning * length > 1.0:
         length = 1.0 / turning
     drive_series(memory, piece, since, length)
-    begin(memory, view, state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK] - state[THETA_BOX], length)
-    invert(memory, memory.holding)
-    if memory.holding == 3:
+    begin(held, view, state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK] - state[THETA_BOX], length)
+    invert(memory, held.holding)
+    if held.holding == 3:
         expand_rigid(scene, memory, length, piece.pushed)
     else:
         expand(scene, memory, length, piece.pushed)
     memory.evaluations += DEGREE + 1.0
-    while not resolved(scene, memory, speed * length):
+    while not resolved(scene, held, speed * length):
         length *= 0.5
-        halve(memory)
+        halve(held)
         if not since + length > since:
             return 0.0
     return length
 
 
-def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
+def resolved(scene: SceneNumbers, held: HeldFeet, way: float) -> bool:
     """Whether the last two powers of the velocities are below the rounding of a ``way`` [m]."""
-    series = memory.series
+    series = held.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
         tail = max(tail, abs(series[RATE_X, k]) + abs(series[RATE_Y, k]))
@@ -293,9 +297,9 @@ def resolved(scene: SceneNumbers, memory: Workspace, way: float) -> bool:
     return bool(tail <= _RESOLVED * way)
 
 
-def halve(memory: Workspace) -> None:
+def halve(held: HeldFeet) -> None:
     """Halve the stretch: scale the powers and velocities, which are per stretch."""
-    series = memory.series
+    series = held.series
     share = 1.0
     for k in range(DEGREE + 3):
         for index in range(4):
@@ -306,16 +310,16 @@ def halve(memory: Workspace) -> None:
         share *= 0.5
 
 
-def curvature_while_held(scene: SceneNumbers, memory: Workspace, length: float) -> float:
+def curvature_while_held(scene: SceneNumbers, held: HeldFeet, length: float) -> float:
     """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
-    series = memory.series
-    x, y, spin, spin_up = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
+    series = held.series
+    x, y, spin, max_angular_acceleration = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
     for k in range(1, DEGREE + 2):
         x += k * abs(series[RATE_X, k])
         y += k * abs(series[RATE_Y, k])
         spin += abs(series[SPIN, k])
-        spin_up += k * abs(series[SPIN, k])
-    bound = max(x, y) + scene.jack_arm * (spin * spin + spin_up)
+        max_angular_acceleration += k * abs(series[SPIN, k])
+    bound = max(x, y) + scene.jack_arm * (spin * spin + max_angular_acceleration)
     return float(bound * (1.0 + 1e-12) / (length * length))
 
 
@@ -324,14 +328,14 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
 
     The common centre of mass falls freely, and the powers place box and jack about it.
     """
-    series = memory.series
+    series = memory.held.series
     state, u = memory.state, s / flight.half
     mass = scene.box_mass + scene.jack_mass
     share = scene.jack_mass / mass  # of the way between the centres, from the box's to the common one
     turned, omega = horner(series[TURNED], DEGREE + 2, u), horner(series[OMEGA], DEGREE + 1, u) / flight.half
     state[THETA_BOX] += turned
     state[THETA_JACK] += turned + (horner(series[PSI], DEGREE + 2, u) - series[PSI, 0])
-    view = held_view(flight, memory, s)
+    view = held_view(flight, memory.held, s)
     cosine, sine = cos_sin(state[THETA_BOX])
     x, y = on_axes(cosine, -sine, view.frame.x, view.frame.y)
     vx, vy = view.frame.vx - omega * view.frame.y, view.frame.vy + omega * view.frame.x

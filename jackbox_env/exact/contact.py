@@ -1,6 +1,6 @@
-"""Resolve: the impact law at the moment of impact. Which feet touch, how velocities jump, and the record of impacts.
+"""Resolve: the impact law. At which gap feet touch, how velocities jump, and the record of impacts.
 
-``search.strike`` calls :func:`resolve`, which changes the velocities and records each impact in the log.
+``step.strike`` calls :func:`resolve`, which changes the velocities and records each impact in the log.
 Law: all contacts whose gap is within the resolution obey Moreau's impact law (1988, "Unilateral contact and dry
 friction in finite freedom dynamics") at the scene's restitution e,
 
@@ -10,100 +10,36 @@ also called the simultaneous Newton law. :func:`jackbox_env.mechanics.simultaneo
 compare the two. With w = J M^-1/2 and v = M^1/2 qdot it is v+ = (1 + e) P(v-) - e v-, where P(v) is the nearest point
 to v in the cone w v >= 0. Contacts of a jack and a square have rank 3 at most, so ``complementarity.py`` tries all sets
 of one, two and three contacts.
+
+A foot touches within the tolerance of :class:`ContactTolerances`, and contacts within its resolution are simultaneous.
+Both start at the rounding of a gap and grow with the impacts of a step up to :func:`deepest`, so that a jack that rests
+or slides costs thousands of impacts, not millions.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from jackbox_env.exact.trigonometry import cos_sin
+from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.workspace import Workspace
-from jackbox_env.model.complementarity import nearest, weigh
+from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import (
-    OMEGA_BOX,
-    OMEGA_JACK,
-    RATES,
-    THETA_BOX,
-    THETA_JACK,
-    VX_BOX,
-    VX_JACK,
-    VY_BOX,
-    VY_JACK,
-    X_BOX,
-    X_JACK,
-    Y_BOX,
-    Y_JACK,
-    Array,
-)
+from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 
 SLOW = 1e-6  # of v0: rounding hides the derivative of a slower impact
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside is less deep
 
 
-def quarter(cosine: float, sine: float, quarters: int) -> tuple[float, float]:
-    """Cosine and sine of an angle plus a number of quarter turns."""
-    quarters &= 3
-    if quarters == 0:
-        return cosine, sine
-    if quarters == 1:
-        return -sine, cosine
-    if quarters == 2:
-        return -cosine, -sine
-    return sine, -cosine
-
-
-def gap_and_lever(scene: SceneNumbers, ahead: float, cosine: float, sine: float, turn: int) -> tuple[float, float]:
-    """Gap between a wall and a foot, and the foot's lever about the jack's centre along the wall [m].
-
-    Args:
-        scene: the scene.
-        ahead: coordinate of the jack's centre along the wall's normal [m].
-        cosine: of the jack's angle relative to the box.
-        sine: likewise.
-        turn: number of the foot minus that of the wall.
-    """
-    along, across = quarter(cosine, sine, turn)
-    return scene.box_half_width - ahead - scene.jack_arm * along, scene.jack_arm * across
-
-
-class Frame(NamedTuple):
-    """Relative position of the jack, and both angles."""
-
-    x: float  # from the box's centre [m]
-    y: float
-    cosine: float  # of the box's angle
-    sine: float
-    relative_cosine: float  # of the jack's angle relative to the box
-    relative_sine: float
-
-
-def gradient(scene: SceneNumbers, frame: Frame, wall: int, foot: int, row: Array) -> float:
-    """Write the gradient J of a gap to ``row``; return the gap [m]."""
-    nx, ny = quarter(frame.cosine, frame.sine, wall)
-    depth, side = nx * frame.x + ny * frame.y, nx * frame.y - ny * frame.x  # n . r and n^perp . r
-    gap, arm = gap_and_lever(scene, depth, frame.relative_cosine, frame.relative_sine, foot - wall)
-    row[X_BOX], row[Y_BOX], row[THETA_BOX] = nx, ny, -side - arm
-    row[X_JACK], row[Y_JACK], row[THETA_JACK] = -nx, -ny, arm
-    return gap
-
-
-def frame_of(state: Array) -> Frame:
-    """Relative position and angles of a state."""
-    c, s = cos_sin(state[THETA_BOX])
-    cp, sp = cos_sin(state[THETA_JACK] - state[THETA_BOX])
-    return Frame(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX], c, s, cp, sp)
-
-
 def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wall: int, foot: int) -> int:
     """List the contacts within ``resolution`` [m], and that of ``wall`` and ``foot``; return how many there are."""
+    contacts = memory.contacts
     frame = frame_of(memory.state)
     count = 0
     for k in range(4):
         for i in range(4):
-            gap = gradient(scene, frame, k, i, memory.gradients[count])
+            gap = gradient(scene, frame, k, i, contacts.gradients[count])
             if gap <= resolution or (k == wall and i == foot):
-                memory.pairs[count], memory.impulses[count], memory.gaps[count] = 4 * k + i, 0.0, gap
+                contacts.pairs[count], contacts.gaps[count], contacts.impulses[count] = 4 * k + i, gap, 0.0
                 count += 1
     return count
 
@@ -113,18 +49,19 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
 
     It changes the velocities in ``memory.state`` and records the impacts.
     """
+    contacts = memory.contacts
     state = memory.state
     count = list_touching(scene, memory, resolution, wall, foot)
-    slow = rate_of(state, memory.gradients[0]) > -SLOW * scene.speed_scale
-    if count > 1 or slow or memory.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
+    slow = rate_of(state, contacts.gradients[0]) > -SLOW * scene.speed_scale
+    if count > 1 or slow or contacts.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
         memory.nonsmooth = 1
     if count == 1:
-        memory.impulses[0] = bounce(scene, state, memory.gradients[0])
+        contacts.impulses[0] = bounce(scene, state, contacts.gradients[0])
     else:
         bounce_together(scene, memory, count)
     for number in range(count):
-        if memory.impulses[number] > 0.0:
-            record_impact(memory, log, memory.elapsed, memory.pairs[number], memory.impulses[number])
+        if contacts.impulses[number] > 0.0:
+            record_impact(memory, log, memory.elapsed, contacts.pairs[number], contacts.impulses[number])
 
 
 def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
@@ -161,16 +98,6 @@ def inverse_mass(scene: SceneNumbers, row: Array) -> float:
     return float(centres + (box_arm * box_arm / scene.box_inertia + jack_arm * jack_arm / scene.jack_inertia))
 
 
-def rate_of(state: Array, row: Array) -> float:
-    """J qdot [m/s], with the gap's gradient J in ``row``."""
-    return float(
-        row[X_BOX] * (state[VX_BOX] - state[VX_JACK])
-        + row[Y_BOX] * (state[VY_BOX] - state[VY_JACK])
-        + row[THETA_BOX] * state[OMEGA_BOX]
-        + row[THETA_JACK] * state[OMEGA_JACK]
-    )
-
-
 def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
     """Change the six velocities ``rates`` of box and jack by M^-1 J^T lambda."""
     rates[X_BOX] += row[X_BOX] * impulse / scene.box_mass
@@ -183,12 +110,50 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
 
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
-    weigh(scene, memory, count, memory.state[RATES:])
-    memory.bias[:] = 0.0
-    chosen = nearest(memory, count)
+    contacts = memory.contacts
+    mass_scale(scene, contacts, count, memory.state[RATES:])
+    contacts.bias[:] = 0.0
+    chosen = nearest(contacts, count)
     for index in range(3):
         number = chosen[index]
         if number >= 0:
-            impulse = (1.0 + scene.restitution) * memory.best[index] / memory.lengths[number]
-            memory.impulses[number] = impulse
-            kick(scene, memory.state[RATES:], memory.gradients[number], impulse)
+            impulse = (1.0 + scene.restitution) * contacts.best[index] / contacts.lengths[number]
+            contacts.impulses[number] = impulse
+            kick(scene, memory.state[RATES:], contacts.gradients[number], impulse)
+
+
+_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
+
+
+class ContactTolerances(NamedTuple):
+    """Gaps at which feet touch in a step."""
+
+    tolerance: float  # gap at which a foot touches [m]
+    resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
+
+
+def contact_tolerance(scene: SceneNumbers) -> float:
+    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below the rounding of a gap."""
+    return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
+
+
+def deepest(scene: SceneNumbers) -> float:
+    """Depth in a wall up to which a foot may go, and resolutions may grow [m]: 1e-10, less in boxes below 1 m."""
+    return 1e-10 * min(1.0, scene.box_half_width)
+
+
+def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
+    """A ``gap`` [m] doubled with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
+
+    With loss most series of bounces shrink to the resolution by themselves (Zeno), so it grows later.
+    """
+    often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
+    doublings = memory.hits // often
+    part = memory.hits / often - doublings
+    return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
+
+
+def contact_resolution(scene: SceneNumbers, memory: Workspace, tolerances: ContactTolerances) -> float:
+    """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
+    gap = tolerances.resolution
+    return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap

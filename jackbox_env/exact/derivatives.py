@@ -10,20 +10,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.contact import SLOW, frame_of, gradient, rate_of
+from jackbox_env.exact.contact import SLOW
+from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.rest import bias_acceleration
-from jackbox_env.exact.step import CONSTANT, Plan, make_numbers, make_plan, touch_of
-from jackbox_env.exact.tangents import (
-    FIRST_FIELD,
-    GRAVITY,
-    TORQUE,
-    accelerate,
-    drifted,
-    fly_back,
-    locate,
-    step_tangent,
-)
-from jackbox_env.exact.workspace import Workspace, Workspaces
+from jackbox_env.exact.step import CONSTANT, StepParameters, make_parameters, tolerances_of
+from jackbox_env.exact.tangents import FIRST_FIELD, GRAVITY, TORQUE, accelerate, drifted, fly_back, locate, step_tangent
+from jackbox_env.exact.workspace import Workspace, Workspaces, make_numbers
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -63,11 +55,11 @@ class Played(NamedTuple):
     smooth: Flags  # which steps have a derivative, shape (N, H)
 
 
-def scene_of(played: Played, i: int) -> tuple[SceneNumbers, Plan]:
+def scene_of(played: Played, i: int) -> tuple[SceneNumbers, StepParameters]:
     """Scene and plan of a row."""
     index = i if played.values.shape[0] > 1 else 0
     scene = make_numbers(played.values[index])
-    return scene, make_plan(scene, played.dt, played.kinds[index])
+    return scene, make_parameters(scene, played.dt, played.kinds[index])
 
 
 def torque_index(played: Played, k: int) -> int:
@@ -87,11 +79,11 @@ def flies(played: Played, i: int, k: int) -> bool:
     return bool(played.smooth[i, k] and first == last)
 
 
-def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
+def touching(scene: SceneNumbers, params: StepParameters, state: Array, row: Array) -> int:
     """How feet touch walls: ``CLEAR``, or the worst of ``LEAVING``, ``OUTSIDE`` and leaving, ``APPROACHING``."""
     x, y = state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX]
     room = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm
-    resolution = touch_of(plan, state).resolution
+    resolution = tolerances_of(params, state).resolution
     if room > resolution and x * x + y * y < (room - resolution) * (room - resolution):
         return CLEAR
     frame, worst = frame_of(state), CLEAR
@@ -104,12 +96,12 @@ def touching(scene: SceneNumbers, plan: Plan, state: Array, row: Array) -> int:
     return worst
 
 
-def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bool:
+def grazes(scene: SceneNumbers, params: StepParameters, hit: Array, memory: Workspace) -> bool:
     """Whether an impact, a row of a wide log, is so slow for its gap's curvature that rounding decides the derivative.
 
     Rounding shifts the impact, and so changes its rate by the gap's second derivative times the rounding over the rate.
     """
-    at, row, free = memory.before, memory.gradients[0], memory.free
+    at, row, free = memory.before, memory.contacts.gradients[0], memory.held.free
     locate(scene, hit, memory)
     frame, rate = frame_of(at), rate_of(at, row)
     free[:] = 0.0
@@ -117,7 +109,7 @@ def grazes(scene: SceneNumbers, plan: Plan, hit: Array, memory: Workspace) -> bo
     bent = bias_acceleration(scene, at, frame, row, 0.0)
     for index in range(6):
         bent += row[index] * free[index]
-    return bool(abs(bent) * _ROUNDING * touch_of(plan, at).resolution > _GRAZE * rate * rate)
+    return bool(abs(bent) * _ROUNDING * tolerances_of(params, at).resolution > _GRAZE * rate * rate)
 
 
 def mark_smooth(played: Played, nonsmooth: Flags, tangent: Array, workspaces: Workspaces) -> None:
@@ -132,25 +124,25 @@ def mark_smooth(played: Played, nonsmooth: Flags, tangent: Array, workspaces: Wo
         workspaces: one, scratch.
     """
     memory, steps = workspaces[0], nonsmooth.shape[1]
-    row, none = memory.gradients[0], played.torques[:0]
+    row, none = memory.contacts.gradients[0], played.torques[:0]
     for i in range(nonsmooth.shape[0]):
-        scene, plan = scene_of(played, i)
-        before = touching(scene, plan, played.trajectories[i, 0], row)
+        scene, params = scene_of(played, i)
+        before = touching(scene, params, played.trajectories[i, 0], row)
         for k in range(steps):
-            after = touching(scene, plan, played.trajectories[i, k + 1], row)
+            after = touching(scene, params, played.trajectories[i, k + 1], row)
             first, last = rows_of(played, i, k)
             at_ends = before == APPROACHING or after == APPROACHING
             if last > first:  # a foot that strikes as the step ends touches there; one that is outside strikes there
                 at_ends |= before == OUTSIDE or after != CLEAR
             played.smooth[i, k] = not (nonsmooth[i, k] or at_ends)
             for hit in range(first, last if played.smooth[i, k] else first):
-                if grazes(scene, plan, played.hits[hit], memory):
+                if grazes(scene, params, played.hits[hit], memory):
                     played.smooth[i, k] = False
             if played.smooth[i, k] and last > first:
                 tangent[:] = 0.0
                 for column in range(len(GROWING)):
                     tangent[GROWING[column], column] = 1.0
-                propagate(played, scene, plan, i, k, none, tangent, memory)
+                propagate(played, scene, params, i, k, none, tangent, memory)
                 played.smooth[i, k] = largest_growth(scene, tangent) < _LARGEST
             before = after
 
@@ -174,7 +166,7 @@ def unit_of(scene: SceneNumbers, index: int) -> float:
 def propagate(
     played: Played,
     scene: SceneNumbers,
-    plan: Plan,
+    params: StepParameters,
     i: int,
     k: int,
     by_time: Array,
@@ -190,7 +182,7 @@ def propagate(
         first, last = rows_of(played, i, k)
         torque = played.torques[i, torque_index(played, k)]
         shifts = by_time[first:last]
-        step_tangent(scene, plan, torque, before, after, played.hits[first:last], shifts, tangent, memory)
+        step_tangent(scene, params, torque, before, after, played.hits[first:last], shifts, tangent, memory)
     else:
         tangent[:] = math.nan
 
@@ -225,13 +217,13 @@ def matrices(
     """
     by_state, by_torque, by_field, by_time = results
     for i in range(span[0], span[1]):
-        scene, plan = scene_of(played, i)
+        scene, params = scene_of(played, i)
         stale = True  # whether the tangent is not that of a flight under a constant torque
         for k in range(played.smooth.shape[1]):
-            same = plan.kind == CONSTANT and flies(played, i, k)
+            same = params.kind == CONSTANT and flies(played, i, k)
             if stale or not same or by_field.shape[3] > 0:
                 fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
-                propagate(played, scene, plan, i, k, by_time, tangent, workspaces[0])
+                propagate(played, scene, params, i, k, by_time, tangent, workspaces[0])
                 stale = not same
             for row in range(12):
                 for column in range(12):
@@ -260,7 +252,7 @@ def pull_back(
     memory, (by_start, by_torque, by_field) = workspaces[0], results
     steps, drift = played.smooth.shape[1], memory.drift
     for i in range(span[0], span[1]):
-        scene, plan = scene_of(played, i)
+        scene, params = scene_of(played, i)
         seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]
         for index in range(12):
             pulled[index] = weights[i, steps, index]
@@ -274,23 +266,23 @@ def pull_back(
                 continue
             if flies(played, i, k):
                 before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
-                drifted(plan, played.torques[i, knot] / scene.box_inertia, before, after, plan.dt, drift)
-                by_torque[i, knot] += fly_back(scene, pulled, plan.dt, drift, seed, by_field[i])
+                drifted(params, played.torques[i, knot] / scene.box_inertia, before, after, params.dt, drift)
+                by_torque[i, knot] += fly_back(scene, pulled, params.dt, drift, seed, by_field[i])
             else:
                 fill_identity(tangent, seed)
-                propagate(played, scene, plan, i, k, by_torque[:0], tangent, memory)
-                by_torque[i, knot] += weighed(pulled, tangent, TORQUE)
+                propagate(played, scene, params, i, k, by_torque[:0], tangent, memory)
+                by_torque[i, knot] += vjp_column(pulled, tangent, TORQUE)
                 for column in range(seed.shape[0]):
-                    by_field[i, column] += weighed(pulled, tangent, FIRST_FIELD + column)
+                    by_field[i, column] += vjp_column(pulled, tangent, FIRST_FIELD + column)
                 for column in range(12):
-                    memory.before[column] = weighed(pulled, tangent, column)
+                    memory.before[column] = vjp_column(pulled, tangent, column)
                 for column in range(12):
                     pulled[column] = memory.before[column]
             for index in range(12):
                 pulled[index] += weights[i, k, index]
 
 
-def weighed(weights: Array, tangent: Array, column: int) -> float:
+def vjp_column(weights: Array, tangent: Array, column: int) -> float:
     """Scalar product of the weights and the state's rows of one column."""
     total = 0.0
     for index in range(12):

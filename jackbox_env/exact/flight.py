@@ -1,20 +1,32 @@
-"""Evolve: the motion of box and jack between impacts, in one piece of a step, and the gaps between feet and walls.
+"""Evolve: the motion of box and jack between impacts, in one piece of a step, under gravity and the drive.
 
 ``search.py`` evaluates gaps and rates here, and ``step.py`` moves the state with :func:`evolve`.
 Law of flight: the jack falls with g and keeps its spin. The box keeps its velocity except for side forces, and its
 angle is the double integral of torque / J_b. While feet are held, power series describe the relative motion
 (``constrained.py``).
+
+Drives: ``step.py`` cuts a step into pieces on which each of the three accelerations of the box (``TURN`` [rad/s^2],
+``PUSH_X`` and ``PUSH_Y`` [m/s^2]) is a sum of powers of u = 2 s / T - 1 in [-1, 1], with s [s] since the piece's start
+and T its length. Its integrals once and twice from that start are such sums too. Their powers are in row
+3 * acceleration + order of integration of a workspace's ``powers``.
+
+Exactness: rounding. The chirp's powers are its Taylor series about the piece's middle, with pieces of at most a sixth
+of a turn. The powers of a drive's functions go through 13 values (``functions.py``), in the Chebyshev points of the
+second kind, both ends of [-1, 1] among them. Points are literals and sums have a written order, so the result is the
+same on every machine (Trefethen 2013, "Approximation Theory and Approximation Practice", ch. 3 and 4).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from jackbox_env.exact.contact import gap_and_lever, quarter
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, TURN, horner
-from jackbox_env.exact.trigonometry import cos_sin
-from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, Workspace
-from jackbox_env.model.scene import SceneNumbers
+import numpy as np
+from numpy.polynomial.chebyshev import cheb2poly
+
+from jackbox_env.exact.geometry import BoxFrame, View, box_frame, cos_sin, foot_gap, towards, view_of
+from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, HeldFeet, Workspace
+from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -31,6 +43,113 @@ from jackbox_env.model.states import (
     Array,
 )
 
+TURN, PUSH_X, PUSH_Y = range(3)
+POWERS = 16  # stored of each polynomial
+DEGREE = 12  # of a polynomial before it is integrated
+PIECES_PER_TURN = 6
+SHARES = 1.0 / np.arange(1.0, POWERS + 1.0)  # of integrated powers; a product is faster than a quotient
+TABLE_WIDTH = 2 + 3 * (DEGREE + 1)  # of a row: start and length [s], powers of torque [N m] and of both forces [N]
+
+
+def horner(powers: Array, degree: int, u: float) -> float:
+    """Sum of powers[k] u^k up to ``degree``."""
+    value = powers[degree]
+    for k in range(degree - 1, -1, -1):
+        value = powers[k] + u * value
+    return float(value)
+
+
+def integrate(memory: Workspace, axis: int, length: float) -> None:
+    """Fill in both integrals of one acceleration over a piece of ``length`` [s], zero at its start."""
+    for order in range(2):
+        start, sign = 0.0, -1.0
+        for k in range(DEGREE + 1 + order):
+            power = 0.5 * length * memory.powers[3 * axis + order, k] * SHARES[k]
+            memory.powers[3 * axis + order + 1, k + 1] = power
+            start += sign * power
+            sign = -sign
+        memory.powers[3 * axis + order + 1, 0] = -start
+
+
+def chirp_piece(
+    scene: SceneNumbers, turns: float, frequency: float, start: float, length: float, memory: Workspace
+) -> None:
+    """Fill in the box's angular acceleration under the chirp, ``start`` [s] after the time of ``turns``, ``frequency``.
+
+    sin and cos of a phase with phi' = a + 2 b u obey s' = phi' c, c' = -phi' s, so their powers follow one another.
+    """
+    half = 0.5 * length
+    middle = start + half
+    growth = 0.5 * scene.chirp_rate
+    phase = turns + (frequency + growth * middle) * middle
+    c, s = cos_sin(2.0 * math.pi * (phase - math.floor(phase)))
+    a = 2.0 * math.pi * (frequency + scene.chirp_rate * middle) * half
+    b2 = 4.0 * math.pi * growth * half * half
+    peak = scene.chirp_amplitude / scene.box_inertia
+    before_s = before_c = 0.0
+    for k in range(DEGREE + 1):
+        memory.powers[3 * TURN, k] = peak * s
+        next_s = (a * c + b2 * before_c) * SHARES[k]
+        next_c = -(a * s + b2 * before_s) * SHARES[k]
+        before_s, before_c, s, c = s, c, next_s, next_c
+    integrate(memory, TURN, length)
+
+
+def chirp_pieces(scene: SceneNumbers, time: float, dt: float) -> int:
+    """Number of equal pieces of a step of ``dt`` [s] after ``time`` [s]; 0 if the chirp turns too often in it."""
+    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
+    fastest = max(abs(frequency), abs(frequency + scene.chirp_rate * dt))
+    turned = fastest * dt
+    return max(1, math.ceil(PIECES_PER_TURN * turned)) if turned <= MOST_TURNS else 0
+
+
+# cos(k pi / 12) for k = 0 to 6, written out: C libraries differ in the last place.
+_COSINES = (1.0, 0.9659258262890683, 0.8660254037844386, 0.7071067811865476, 0.5, 0.25881904510252074, 0.0)
+
+
+def _cosine(twelfths: int) -> float:
+    """Cosine of a number of twelfths of pi."""
+    folded = min(twelfths % 24, -twelfths % 24)
+    return _COSINES[folded] if folded <= 6 else -_COSINES[12 - folded]
+
+
+POINTS = np.array([-_cosine(j) for j in range(DEGREE + 1)])  # in [-1, 1]
+# Coefficient k of an interpolant is the sum of row k times the values; the first and last of each count half.
+_TO_CHEBYSHEV = np.array(
+    [
+        [_cosine(k * (DEGREE - j)) / (6.0 * (1 + (k in (0, DEGREE))) * (1 + (j in (0, DEGREE)))) for j in range(13)]
+        for k in range(DEGREE + 1)
+    ]
+)
+# The powers of u in T_0 to T_12: whole numbers, so they are exact.
+_TO_POWERS = np.array([np.pad(cheb2poly(unit[: k + 1]), (0, DEGREE - k)) for k, unit in enumerate(np.eye(DEGREE + 1))])
+
+
+def interpolate(values: Array, row: Array, first: int) -> tuple[float, float, float]:
+    """Write the powers of u of the polynomial through 13 values to ``row``, from column ``first`` on.
+
+    Returns:
+        The largest value, the largest of the last three Chebyshev coefficients, and the second steepest slope per u:
+        a jump makes only one gap steep.
+    """
+    tail, middle = 0.0, values[DEGREE // 2]
+    row[first] = middle  # so that a constant is exact
+    for k in range(DEGREE + 1):
+        coefficient = 0.0
+        for j in range(DEGREE + 1):
+            coefficient += _TO_CHEBYSHEV[k, j] * (values[j] - middle)
+        for i in range(k & 1, k + 1, 2):
+            row[first + i] += _TO_POWERS[k, i] * coefficient
+        if k > DEGREE - 3:
+            tail = max(tail, abs(coefficient))
+    peak, steepest, slope = abs(values[0]), 0.0, 0.0
+    for j in range(DEGREE):
+        peak = max(peak, abs(values[j + 1]))
+        rise = abs(values[j + 1] - values[j]) / (POINTS[j + 1] - POINTS[j])
+        slope = max(slope, min(rise, steepest))
+        steepest = max(steepest, rise)
+    return peak, tail, slope
+
 
 class Piece(NamedTuple):
     """The accelerations of the box by the drive in one piece of a step."""
@@ -39,8 +158,8 @@ class Piece(NamedTuple):
     alpha: float  # angular acceleration if it is constant [rad/s^2]
     curved: bool  # whether the accelerations are polynomials
     pushed: bool  # whether the box's centre is accelerated too
-    spin_up: float  # bound of the angular acceleration [rad/s^2]
-    push: float  # bound of the centre's acceleration [m/s^2]
+    max_angular_acceleration: float  # bound of the angular acceleration [rad/s^2]
+    max_acceleration: float  # bound of the centre's acceleration [m/s^2]
 
 
 class Flight(NamedTuple):
@@ -71,8 +190,8 @@ def constant_piece(length: float, alpha: float) -> Piece:
 
 def curved_piece(memory: Workspace, length: float, pushed: bool) -> Piece:
     """A piece of ``length`` [s] under the polynomial accelerations in ``memory``."""
-    push = largest(memory, PUSH_X) + largest(memory, PUSH_Y) if pushed else 0.0
-    return Piece(length, 0.0, True, pushed, largest(memory, TURN), push)
+    max_acceleration = largest(memory, PUSH_X) + largest(memory, PUSH_Y) if pushed else 0.0
+    return Piece(length, 0.0, True, pushed, largest(memory, TURN), max_acceleration)
 
 
 def largest(memory: Workspace, axis: int) -> float:
@@ -159,7 +278,7 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
     """Whether both ends of the jack's path are so near the box's centre that no foot can touch a wall on the way.
 
-    ``clear`` is the square of that distance, see ``step.Plan``.
+    ``clear`` is the square of that distance, see ``step.StepParameters``.
     """
     end_x, end_y = moved(x, vx, dt), fallen(y, vy, fall, dt)
     return bool((x * x + y * y < clear) & (end_x * end_x + end_y * end_y < clear))
@@ -196,77 +315,23 @@ def free_flight(before: Array, after: Array, fall: float, dt: float, alpha: floa
     after[OMEGA_JACK] = before[OMEGA_JACK]
 
 
-class BoxFrame(NamedTuple):
-    """Position and velocity of the jack's centre in the rotating frame of the box."""
-
-    x: float  # [m]
-    y: float
-    vx: float  # [m/s]
-    vy: float
-
-
-def box_frame(x: float, y: float, vx: float, vy: float, angle: float, omega: float) -> BoxFrame:
-    """Transform relative position and velocity to the frame of a box at ``angle`` [rad], rate ``omega`` [rad/s]."""
-    c, s = cos_sin(angle)
-    ahead, aside = on_axes(c, s, x, y)
-    forward, sideways = on_axes(c, s, vx, vy)
-    return BoxFrame(ahead, aside, forward + omega * aside, sideways - omega * ahead)
-
-
-def on_axes(cosine: float, sine: float, x: float, y: float) -> tuple[float, float]:
-    """Components of a vector on the axes of a box whose angle has this cosine and sine."""
-    return cosine * x + sine * y, cosine * y - sine * x
-
-
-class View(NamedTuple):
-    """The jack relative to the box at one moment."""
-
-    frame: BoxFrame
-    cosine: float  # of the jack's angle relative to the box
-    sine: float
-    spin: float  # rate of that angle [rad/s]
-    time: float  # the moment, since the flight's start [s]
-
-
-def view_of(frame: BoxFrame, angle: float, spin: float, time: float) -> View:
-    """The jack at an ``angle`` and ``spin`` relative to the box, at a ``time`` [s]."""
-    cosine, sine = cos_sin(angle)
-    return View(frame, cosine, sine, spin, time)
-
-
-def towards(frame: BoxFrame, wall: int) -> tuple[float, float]:
-    """Coordinate of the jack's centre along a wall's normal [m], and its rate [m/s]."""
-    return quarter(frame.x, -frame.y, wall)[0], quarter(frame.vx, -frame.vy, wall)[0]
-
-
-def foot_gap(
-    scene: SceneNumbers, ahead: float, speed: float, cosine: float, sine: float, spin: float, turn: int
-) -> tuple[float, float]:
-    """Gap between a wall and a foot [m], and its rate [m/s]: see :func:`contact.gap_and_lever`.
-
-    ``ahead`` grows at the rate ``speed`` [m/s], the angle at the rate ``spin`` [rad/s].
-    """
-    gap, lever = gap_and_lever(scene, ahead, cosine, sine, turn)
-    return gap, lever * spin - speed
-
-
 def gap_at(
     scene: SceneNumbers, flight: Flight, memory: Workspace, wall: int, foot: int, s: float
 ) -> tuple[float, float]:
     """Gap between a wall and a foot ``s`` [s] into the flight [m], and its rate [m/s]."""
     memory.evaluations += 1.0
-    view = held_view(flight, memory, s) if flight.held else view_at(flight, memory, s)
+    view = held_view(flight, memory.held, s) if flight.held else view_at(flight, memory, s)
     ahead, speed = towards(view.frame, wall)
     return foot_gap(scene, ahead, speed, view.cosine, view.sine, view.spin, foot - wall)
 
 
-def held_view(flight: Flight, memory: Workspace, s: float) -> View:
+def held_view(flight: Flight, held: HeldFeet, s: float) -> View:
     """The jack relative to the box ``s`` [s] into a stretch with feet at rest."""
     length = flight.half
     u = s / length
     frame = BoxFrame(
-        horner(memory.series[POSITION_X], DEGREE + 2, u), horner(memory.series[POSITION_Y], DEGREE + 2, u),
-        horner(memory.series[RATE_X], DEGREE + 1, u) / length, horner(memory.series[RATE_Y], DEGREE + 1, u) / length,
+        horner(held.series[POSITION_X], DEGREE + 2, u), horner(held.series[POSITION_Y], DEGREE + 2, u),
+        horner(held.series[RATE_X], DEGREE + 1, u) / length, horner(held.series[RATE_Y], DEGREE + 1, u) / length,
     )  # fmt: skip
-    spin = horner(memory.series[SPIN], DEGREE + 1, u) / length
-    return view_of(frame, horner(memory.series[PSI], DEGREE + 2, u), spin, s)
+    spin = horner(held.series[SPIN], DEGREE + 1, u) / length
+    return view_of(frame, horner(held.series[PSI], DEGREE + 2, u), spin, s)

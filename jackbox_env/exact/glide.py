@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import centre_curvature_of, farthest, stays_off
-from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner
-from jackbox_env.exact.flight import fallen, moved, on_axes, stays_clear, turned
-from jackbox_env.exact.search import STEEPEST
-from jackbox_env.exact.step import Plan
-from jackbox_env.exact.trigonometry import LARGEST, cos_sin_within
+from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
+from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
+from jackbox_env.exact.search import STEEPEST, centre_curvature_of, farthest, stays_off
+from jackbox_env.exact.step import StepParameters
 from jackbox_env.exact.workspace import (
     AHEAD,
     ALPHA_BOUND,
@@ -61,10 +59,10 @@ WIDEST = 128  # environments in a block
 LIMIT = 0  # of the torque [N m]
 INERTIA = 1  # of the box [kg m^2]
 FALL = 2  # speed that the jack gains in a step [m/s]
-CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.Plan``
+CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.StepParameters``
 ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
 ORDINARY = 5  # bound of ordinary numbers of the state, see ``ordinary``
-SCENE_LANES = 6
+SCENE_PARAMS = 6
 _DRIFT_COST = 0.005  # gap evaluations that take as long as one row's flight through a piece
 _ORDINARY = 1e9  # over L or v0: below it float64 resolves positions and speeds
 
@@ -74,8 +72,8 @@ class Block(NamedTuple):
 
     before: Array  # (16, width)
     after: Array  # (16, width), written by the step
-    lanes: Array  # (LANES, width), scratch
-    scenes: Array  # (SCENE_LANES, width)
+    scratch: Array  # (SCRATCH, width)
+    scene_params: Array  # (SCENE_PARAMS, width)
     first: int  # index of the first row among all
     size: int  # number of rows
 
@@ -85,9 +83,14 @@ def glide_block(dt: float, block: Block) -> None:
 
     The law is that of ``flight.free_flight``.
     """
-    before, after, lanes, count = block.before, block.after, block.lanes, block.size
-    inertia, fall, applied, torque = block.scenes[INERTIA], block.scenes[FALL], lanes[APPLIED], lanes[TORQUE]
-    alpha, hits, impulses = lanes[TURNING], lanes[HIT], lanes[IMPULSE_SUM]
+    before, after, scratch, count = block.before, block.after, block.scratch, block.size
+    inertia, fall, applied, torque = (
+        block.scene_params[INERTIA],
+        block.scene_params[FALL],
+        scratch[APPLIED],
+        scratch[TORQUE],
+    )
+    alpha, hits, impulses = scratch[TURNING], scratch[HIT], scratch[IMPULSE_SUM]
     for k in range(count):
         alpha[k] = applied[k] / inertia[k]
     for k in range(count):
@@ -117,15 +120,15 @@ def glide_block(dt: float, block: Block) -> None:
 def mark_near(dt: float, block: Block) -> None:
     """Mark the rows where a foot may touch a wall within ``dt`` [s], or where float64 does not resolve the motion.
 
-    The test is first by the jack's distance from the box's centre, then by that from each wall, as in ``bounds.py``.
-    ``lanes[TURNING]`` bounds the box's angular acceleration [rad/s^2].
+    The test is first by the jack's distance from the box's centre, then by that from each wall, as in ``search.py``.
+    ``scratch[TURNING]`` bounds the box's angular acceleration [rad/s^2].
     """
-    before, lanes, count = block.before, block.lanes, block.size
-    fall, clear, alpha, near = block.scenes[FALL], block.scenes[CLEAR], lanes[TURNING], lanes[NEAR]
-    x, y, vx, vy = lanes[0], lanes[1], lanes[2], lanes[3]
+    before, scratch, count = block.before, block.scratch, block.size
+    fall, clear, alpha, near = block.scene_params[FALL], block.scene_params[CLEAR], scratch[TURNING], scratch[NEAR]
+    x, y, vx, vy = scratch[0], scratch[1], scratch[2], scratch[3]
     for axis in range(2):
-        box, jack, difference = before[axis], before[X_JACK + axis], lanes[axis]
-        box_rate, jack_rate, rates = before[RATES + axis], before[VX_JACK + axis], lanes[2 + axis]
+        box, jack, difference = before[axis], before[X_JACK + axis], scratch[axis]
+        box_rate, jack_rate, rates = before[RATES + axis], before[VX_JACK + axis], scratch[2 + axis]
         for k in range(count):
             difference[k] = jack[k] - box[k]
         for k in range(count):
@@ -133,20 +136,20 @@ def mark_near(dt: float, block: Block) -> None:
     for k in range(count):
         free = stays_clear(x[k], y[k], vx[k], vy[k], fall[k], dt, clear[k]) & (abs(alpha[k]) < STEEPEST)
         near[k] = 0.0 if free else 1.0
-    unmark_off_walls(dt, block)
+    clear_marks_by_wall_distance(dt, block)
 
 
-def unmark_off_walls(dt: float, block: Block) -> None:
+def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
     """Remove the mark of rows whose feet stay off every wall: ``bounds.walls_in_reach``, many rows at a time.
 
-    The marked rows are first gathered at the front of the lanes; a gathered row never overwrites one still to be read.
+    The marked rows are first gathered at the front; a gathered row never overwrites one still to be read.
     """
-    before, lanes, near, scenes = block.before, block.lanes, block.lanes[NEAR], block.scenes
-    x, y, vx, vy, alpha = lanes[0], lanes[1], lanes[2], lanes[3], lanes[ALPHA_BOUND]
-    cosine, sine, omega = lanes[LANE_COSINE], lanes[LANE_SINE], lanes[LANE_OMEGA]
-    ahead, aside = lanes[AHEAD], lanes[ASIDE]
-    curvature, lane, room, pull = lanes[LANE_CURVATURE], lanes[LANE_INDEX], lanes[LANE_ROOM], lanes[LANE_PULL]
-    off = lanes[STAYS_OFF]
+    before, scratch, near, scenes = block.before, block.scratch, block.scratch[NEAR], block.scene_params
+    x, y, vx, vy, alpha = scratch[0], scratch[1], scratch[2], scratch[3], scratch[ALPHA_BOUND]
+    cosine, sine, omega = scratch[LANE_COSINE], scratch[LANE_SINE], scratch[LANE_OMEGA]
+    ahead, aside = scratch[AHEAD], scratch[ASIDE]
+    curvature, lane, room, pull = scratch[LANE_CURVATURE], scratch[LANE_INDEX], scratch[LANE_ROOM], scratch[LANE_PULL]
+    off = scratch[STAYS_OFF]
     count = 0
     for k in range(block.size):
         lane[count] = k
@@ -155,7 +158,7 @@ def unmark_off_walls(dt: float, block: Block) -> None:
         k = int(lane[j])
         x[j], y[j], vx[j], vy[j] = x[k], y[k], vx[k], vy[k]
         cosine[j] = before[THETA_BOX, k]  # the angle, which its cosine replaces below
-        omega[j], alpha[j] = before[OMEGA_BOX, k], abs(lanes[TURNING, k])
+        omega[j], alpha[j] = before[OMEGA_BOX, k], abs(scratch[TURNING, k])
         room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
         off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) and alpha[j] < STEEPEST else 0.0
     for j in range(count):
@@ -194,13 +197,13 @@ def ordinary(scene: SceneNumbers) -> float:
     return _ORDINARY * min(1.0, min(scene.box_half_width, scene.speed_scale))
 
 
-def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Workspace) -> bool:
+def glide_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block, memory: Workspace) -> bool:
     """Fly the rows at the time of the first one for a step under the chirp, and mark all others.
 
     The chirp is integrated once for all of them. Returns False, with nothing done, if all episodes are over or the
     chirp turns too often.
     """
-    before, lanes, count, dt = block.before, block.lanes, block.size, plan.dt
+    before, scratch, count, dt = block.before, block.scratch, block.size, params.dt
     first = 0
     while first < count and before[OVER, first] != 0.0:
         first += 1
@@ -210,7 +213,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
     pieces = chirp_pieces(scene, time, dt)
     if pieces == 0:
         return False
-    mark_under_chirp(scene, plan, block, time)
+    mark_under_chirp(scene, params, block, time)
     enter_frames(block)
     turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
@@ -222,7 +225,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
         rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
         drift(block, scene.gravity, length, angle, rate)
-    torque, hits, impulses = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM]
+    torque, hits, impulses = scratch[TORQUE], scratch[HIT], scratch[IMPULSE_SUM]
     mean = scene.box_inertia * impulse / dt
     for k in range(count):
         torque[k] = mean
@@ -234,7 +237,7 @@ def glide_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, memory: Wor
 def enter_frames(block: Block) -> None:
     """Copy the states to ``after``, in frames at the boxes' centres; the jacks' centres go to the first two lanes."""
     before, after, count = block.before, block.after, block.size
-    x, y = block.lanes[0], block.lanes[1]
+    x, y = block.scratch[0], block.scratch[1]
     for k in range(count):
         after[X_BOX, k] = after[Y_BOX, k] = 0.0
     for k in range(count):
@@ -248,13 +251,13 @@ def enter_frames(block: Block) -> None:
 
 def leave_frames(block: Block) -> None:
     """Move the states in ``after`` back to the world: see ``step.leave_frame``."""
-    before, after, lanes, count = block.before, block.after, block.lanes, block.size
-    x, y = lanes[0], lanes[1]
+    before, after, scratch, count = block.before, block.after, block.scratch, block.size
+    x, y = scratch[0], scratch[1]
     for k in range(count):
         x[k] = before[X_JACK, k] + (x[k] - (before[X_JACK, k] - before[X_BOX, k]))
         y[k] = before[Y_JACK, k] + (y[k] - (before[Y_JACK, k] - before[Y_BOX, k]))
     for axis in (0, 1):
-        here, there, jack = before[axis], after[axis], lanes[axis]
+        here, there, jack = before[axis], after[axis], scratch[axis]
         for k in range(count):
             there[k] = here[k] + there[k]
         there = after[X_JACK + axis]
@@ -262,13 +265,13 @@ def leave_frames(block: Block) -> None:
             there[k] = jack[k]
 
 
-def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float) -> None:
+def mark_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block, time: float) -> None:
     """Mark the rows at another time, near a wall, or where float64 does not resolve the motion."""
-    before, near, alpha = block.before, block.lanes[NEAR], block.lanes[TURNING]
+    before, near, alpha = block.before, block.scratch[NEAR], block.scratch[TURNING]
     steepest = abs(scene.chirp_amplitude) / scene.box_inertia * (1.0 + 1e-9)
     for k in range(block.size):
         alpha[k] = steepest
-    mark_near(plan.dt, block)
+    mark_near(params.dt, block)
     most = ordinary(scene)
     for k in range(block.size):
         near[k] = near[k] if before[TIME, k] == time else 1.0
@@ -280,7 +283,7 @@ def mark_under_chirp(scene: SceneNumbers, plan: Plan, block: Block, time: float)
 
 def drift(block: Block, gravity: float, length: float, angle: float, rate: float) -> None:
     """Fly all rows for ``length`` [s]; the chirp adds ``angle`` and ``rate`` to the box: see ``flight.evolve``."""
-    after, lanes, count = block.after, block.lanes, block.size
+    after, scratch, count = block.after, block.scratch, block.size
     for axis in (0, 1):
         there, speed = after[axis], after[RATES + axis]
         for k in range(count):
@@ -290,7 +293,7 @@ def drift(block: Block, gravity: float, length: float, angle: float, rate: float
         box_angle[k] += omega[k] * length + angle
     for k in range(count):
         omega[k] += rate
-    x, y, vx, vy = lanes[0], lanes[1], after[VX_JACK], after[VY_JACK]
+    x, y, vx, vy = scratch[0], scratch[1], after[VX_JACK], after[VY_JACK]
     for k in range(count):
         x[k] += vx[k] * length
     for k in range(count):

@@ -13,36 +13,38 @@ norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mech
 
 Method: over a stretch of time the motion is a power series (``constrained.py``). The gaps of the other feet follow from
 it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the state is
-projected: the held gaps towards 0, by ``Touch.resolution`` at most (1e-13 m, more far from the origin), and their rates
-to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot gain
-energy; that of the positions changes the energy by about the weight times the correction.
-Resolution: with loss, a foot is at rest if it would rise by ``search.contact_resolution`` at most. That is
-``Touch.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K times the
-resolution in energy, with K of ``bounds.py``.
+projected: the held gaps towards 0, by ``ContactTolerances.resolution`` at most (1e-13 m, more far from the origin), and
+their rates to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot
+gain energy; that of the positions changes the energy by about the weight times the correction.
+Resolution: with loss, a foot is at rest if it would rise by ``contact.contact_resolution`` at most. That is
+``ContactTolerances.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K
+times the resolution in energy, with K of ``search.py``.
 """
 
 from __future__ import annotations
 
 import math
 
-from jackbox_env.exact.bounds import bounds_of, parabola_root
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
-from jackbox_env.exact.contact import Frame, frame_of, gradient, kick, rate_of, record_impact, resolve
-from jackbox_env.exact.drives import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, horner
-from jackbox_env.exact.flight import Flight, Piece, box_frame, flight_of, view_of
+from jackbox_env.exact.contact import ContactTolerances, kick, record_impact, resolve
+from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, flight_of, horner
+from jackbox_env.exact.geometry import Frame, box_frame, frame_of, gradient, rate_of, view_of
 from jackbox_env.exact.search import (
     ALL,
+    IMPACT,
     MOST_WORK,
-    NONE,
+    NO_IMPACT,
     UNDECIDED,
+    Event,
     Limits,
-    Touch,
+    bounds_of,
     first_of_all,
+    parabola_root,
     slowest,
     why_undecided,
 )
-from jackbox_env.exact.workspace import FORCE, Status, Workspace
-from jackbox_env.model.complementarity import dot, nearest, project, violation_of, weigh
+from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace
+from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -80,7 +82,7 @@ def bias_acceleration(scene: SceneNumbers, state: Array, frame: Frame, row: Arra
 def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float) -> None:
     """Fill in the accelerations of box and jack by gravity and the drive, ``since`` [s] after the piece's start."""
     u = 2.0 * since / piece.length - 1.0
-    free = memory.free
+    free = memory.held.free
     free[X_BOX] = free[Y_BOX] = free[X_JACK] = free[THETA_JACK] = 0.0
     free[THETA_BOX], free[Y_JACK] = piece.alpha, -scene.gravity
     if piece.curved:
@@ -90,37 +92,38 @@ def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: f
         free[Y_BOX] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
-def list_contacts(scene: SceneNumbers, memory: Workspace, state: Array, count: int) -> Frame:
-    """Fill in gaps and gradients of the pairs in ``memory.pairs`` for a state."""
+def list_contacts(scene: SceneNumbers, contacts: Contacts, state: Array, count: int) -> Frame:
+    """Fill in gaps and gradients of the pairs in ``contacts.pairs`` for a state."""
     frame = frame_of(state)
     for number in range(count):
-        pair = memory.pairs[number]
-        memory.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, memory.gradients[number])
+        pair = contacts.pairs[number]
+        contacts.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, contacts.gradients[number])
     return frame
 
 
-def weigh_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
+def mass_scale_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
     """Weight the free accelerations and the gradients, and fill in the bias Jdot qdot."""
-    weigh(scene, memory, count, memory.free)
+    contacts = memory.contacts
+    mass_scale(scene, contacts, count, memory.held.free)
     for number in range(count):
-        turn = bias_acceleration(scene, state, frame, memory.gradients[number], memory.gaps[number])
-        memory.bias[number] = turn / memory.lengths[number]
+        turn = bias_acceleration(scene, state, frame, contacts.gradients[number], contacts.gaps[number])
+        contacts.bias[number] = turn / contacts.lengths[number]
 
 
 def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, resolution: float, slow: float) -> int:
     """List contacts within ``resolution`` [m] at rates up to ``slow`` [m/s], but not released ones; return how many."""
-    count, released = 0, memory.released
+    count, released = 0, memory.held.released
     for pair in range(16):
-        row = memory.gradients[count]
+        row = memory.contacts.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
         if gap <= resolution and abs(rate_of(memory.state, row)) <= slow and not released & (1 << pair):
-            memory.pairs[count] = pair
+            memory.contacts.pairs[count] = pair
             count += 1
     return count
 
 
 def settle(
-    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, touch: Touch,
+    scene: SceneNumbers, memory: Workspace, piece: Piece, flight: Flight, horizon: float, tolerances: ContactTolerances,
     resolution: float,
 ) -> int:  # fmt: skip
     """Determine the feet at rest on walls, and project the state on their constraints.
@@ -135,38 +138,38 @@ def settle(
         resolution: gap within which feet may rest [m].
 
     Returns:
-        The pairs that are held, as bits. Their number is in ``memory.holding``, and they are first in
-        ``memory.pairs``.
+        The pairs that are held, as bits. Their number is in ``held.holding``, and they are first in ``contacts.pairs``.
     """
+    contacts = memory.contacts
     state = memory.state
     frame = frame_of(state)
-    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
-    limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * touch.tolerance)
+    bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
+    limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * tolerances.tolerance)
     count = list_slow(scene, memory, frame, resolution, slowest(scene, flight, limits, resolution))
     accelerations(scene, memory, piece, flight.since)
     while count > 0:
         memory.evaluations += 1.0
-        list_contacts(scene, memory, memory.state, count)
-        weigh_accelerations(scene, memory, state, frame, count)
-        chosen = active_set(memory, count)
+        list_contacts(scene, contacts, memory.state, count)
+        mass_scale_accelerations(scene, memory, state, frame, count)
+        chosen = active_set(contacts, count)
         # A foot that would bounce higher than the resolution is not at rest.
         bouncing = -1
         for index in range(3):
             number = chosen[index]
             if number >= 0:
                 # The acceleration of the foot by this contact, were it the only one.
-                pressed = memory.best[index] * memory.lengths[number]
-                rate = rate_of(state, memory.gradients[number])
+                pressed = contacts.best[index] * contacts.lengths[number]
+                rate = rate_of(state, contacts.gradients[number])
                 if rate * rate > 2.0 * resolution * pressed:
                     bouncing = number
         if bouncing < 0:
-            return select_held(scene, memory, touch, resolution, count, chosen)
+            return select_held(scene, memory, tolerances, resolution, count, chosen)
         count -= 1
-        memory.pairs[bouncing] = memory.pairs[count]
+        contacts.pairs[bouncing] = contacts.pairs[count]
     return 0
 
 
-def active_set(memory: Workspace, count: int) -> tuple[int, int, int]:
+def active_set(contacts: Contacts, count: int) -> tuple[int, int, int]:
     """The largest admissible active set: no negative multiplier, and no gap that closes. Else what ``nearest`` returns.
 
     The last projection is that of this set.
@@ -175,18 +178,23 @@ def active_set(memory: Workspace, count: int) -> tuple[int, int, int]:
         for i in range(count if size > 2 else 1):
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
-                    if violation_of(memory, count, size, k, j, i) <= _FAINT * memory.multipliers[0]:
+                    if violation_of(contacts, count, size, k, j, i) <= _FAINT * contacts.multipliers[0]:
                         for index in range(3):
-                            memory.best[index] = memory.multipliers[index]
+                            contacts.best[index] = contacts.multipliers[index]
                         return k, j if size > 1 else -1, i if size > 2 else -1
-    one, two, three = nearest(memory, count)
+    one, two, three = nearest(contacts, count)
     if one >= 0:
-        project(memory, 1 if two < 0 else 2 if three < 0 else 3, one, two, three)
+        project(contacts, 1 if two < 0 else 2 if three < 0 else 3, one, two, three)
     return one, two, three
 
 
 def select_held(
-    scene: SceneNumbers, memory: Workspace, touch: Touch, resolution: float, count: int, chosen: tuple[int, int, int]
+    scene: SceneNumbers,
+    memory: Workspace,
+    tolerances: ContactTolerances,
+    resolution: float,
+    count: int,
+    chosen: tuple[int, int, int],
 ) -> int:
     """Select the contacts to hold, and project the state on them: the ``chosen``, of the last projection, and others.
 
@@ -197,53 +205,54 @@ def select_held(
     Returns:
         The pairs that are held, as bits.
     """
+    contacts = memory.contacts
     size, strongest = 0, 0.0
     for index in range(3):
         number = chosen[index]
         if number >= 0:
-            memory.order[size] = number
-            strongest = max(strongest, memory.best[index])
+            memory.held.order[size] = number
+            strongest = max(strongest, contacts.best[index])
             size += 1
     if size == 0:
         return 0
     faint, held = _FAINT * strongest, 0
     for number in range(count):
-        row = memory.units[number]
-        opening = dot(row, memory.projected) + memory.bias[number]
-        rate = rate_of(memory.state, memory.gradients[number]) / memory.lengths[number]
-        remainder = orthogonalized(memory, size, row)
+        row = contacts.units[number]
+        opening = dot(row, contacts.projected) + contacts.bias[number]
+        rate = rate_of(memory.state, contacts.gradients[number]) / contacts.lengths[number]
+        remainder = orthogonalized(contacts, size, row)
         if remainder < _DEPENDENT:
-            held |= 1 << memory.pairs[number]
+            held |= 1 << contacts.pairs[number]
         elif size < 3 and abs(opening) <= faint and rate * rate <= 2.0 * resolution * faint:
             length = math.sqrt(remainder)
             for index in range(6):
-                memory.basis[size, index] /= length
-            memory.order[size] = number
+                contacts.basis[size, index] /= length
+            memory.held.order[size] = number
             size += 1
-            held |= 1 << memory.pairs[number]
+            held |= 1 << contacts.pairs[number]
     for index in range(size):
-        gap = memory.gaps[memory.order[index]]
-        memory.order[index] = memory.pairs[memory.order[index]]
-        memory.targets[index] = math.copysign(max(abs(gap) - touch.resolution, 0.0), gap)
+        gap = contacts.gaps[memory.held.order[index]]
+        memory.held.order[index] = contacts.pairs[memory.held.order[index]]
+        memory.held.targets[index] = math.copysign(max(abs(gap) - tolerances.resolution, 0.0), gap)
     for index in range(size):
-        memory.pairs[index] = memory.order[index]
-    memory.holding = size
+        contacts.pairs[index] = memory.held.order[index]
+    memory.held.holding = size
     project_state(scene, memory)
     return held
 
 
-def orthogonalized(memory: Workspace, size: int, row: Array) -> float:
+def orthogonalized(contacts: Contacts, size: int, row: Array) -> float:
     """Write the part of a unit row that is orthogonal to the first ``size`` rows of the basis as its next row.
 
     Returns its square.
     """
-    part = memory.basis[size]
+    part = contacts.basis[size]
     for index in range(6):
         part[index] = row[index]
     for number in range(size):
-        share = dot(part, memory.basis[number])
+        share = dot(part, contacts.basis[number])
         for index in range(6):
-            part[index] -= share * memory.basis[number, index]
+            part[index] -= share * contacts.basis[number, index]
     return dot(part, part)
 
 
@@ -251,35 +260,38 @@ def project_state(scene: SceneNumbers, memory: Workspace) -> None:
     """Project the state: held gaps to their targets, their rates to 0, each by the smallest change in the norm of M.
 
     The gaps change by one Newton step, unless they are off by rounding only. The factors of the held rows stay in
-    ``memory.triangle``.
+    ``contacts.triangle``.
     """
-    state, count = memory.state, memory.holding
-    list_contacts(scene, memory, state, count)
+    contacts, held = memory.contacts, memory.held
+    state, count = memory.state, held.holding
+    list_contacts(scene, contacts, state, count)
     off = 0.0
     for number in range(count):
-        off = max(off, abs(memory.gaps[number] - memory.targets[number]))
-    weigh(scene, memory, count, state[RATES:])
+        off = max(off, abs(contacts.gaps[number] - held.targets[number]))
+    mass_scale(scene, contacts, count, state[RATES:])
     if off > _ROUNDED * scene.box_half_width:
-        memory.rates[:] = 0.0
+        contacts.rates[:] = 0.0
         for number in range(count):
-            memory.bias[number] = (memory.gaps[number] - memory.targets[number]) / memory.lengths[number]
+            contacts.bias[number] = (contacts.gaps[number] - held.targets[number]) / contacts.lengths[number]
         move_held(scene, memory, count, X_BOX)
-        list_contacts(scene, memory, state, count)
-        weigh(scene, memory, count, state[RATES:])
-    memory.bias[:] = 0.0
+        list_contacts(scene, contacts, state, count)
+        mass_scale(scene, contacts, count, state[RATES:])
+    contacts.bias[:] = 0.0
     move_held(scene, memory, count, RATES)
 
 
 def move_held(scene: SceneNumbers, memory: Workspace, count: int, first: int) -> None:
     """Change the six numbers of the state from ``first`` on so that the held rows with their bias are 0."""
-    project(memory, count, 0, 1, 2)
+    contacts = memory.contacts
+    project(contacts, count, 0, 1, 2)
     for number in range(count):
-        kick(scene, memory.state[first:], memory.gradients[number], memory.multipliers[number] / memory.lengths[number])
+        impulse = contacts.multipliers[number] / contacts.lengths[number]
+        kick(scene, memory.state[first:], contacts.gradients[number], impulse)
 
 
 def advance_held(
-    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch, resolution: float, since: float,
-    held: int,
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tolerances: ContactTolerances, resolution: float,
+    since: float, held: int,
 ) -> tuple[Status, float]:  # fmt: skip
     """Integrate the motion with held feet to the end of a stretch, an impact, or the first release.
 
@@ -294,10 +306,10 @@ def advance_held(
         held: the pairs that are held, as bits.
 
     Returns:
-        How it ended, and the time that passed [s]. Feet that are released at once are added to ``memory.released``.
+        How it ended, and the time that passed [s]. Feet that are released at once are added to ``held.released``.
     """
     memory.nonsmooth = 1
-    count, free = memory.holding, flight_of(scene, memory.state, piece, since)
+    count, free = memory.held.holding, flight_of(scene, memory.state, piece, since)
     frame = box_frame(free.x, free.y, free.vx, free.vy, free.angle, free.omega)
     view = view_of(frame, free.jack_angle - free.angle, free.jack_omega - free.omega, 0.0)
     length = stretch(scene, memory, piece, since, view)
@@ -310,23 +322,25 @@ def advance_held(
         free.x, free.y, free.vx, free.vy, free.angle, free.omega, free.jack_angle, free.jack_omega, 0.0, 0.0, 0.0,
         length, True, True, held, free.speeds,
     )  # fmt: skip
-    pair = NONE
+    event = Event(NO_IMPACT, end, 0, 0)
     if count < 3:  # else the jack cannot move in the box
-        limits = Limits(curvature_while_held(scene, memory, length), end, 0.5 * touch.tolerance)
-        end, pair = first_of_all(scene, memory, flight, view, ALL, NONE, limits, -math.inf)
-    if pair == UNDECIDED:
+        limits = Limits(curvature_while_held(scene, memory.held, length), end, 0.5 * tolerances.tolerance)
+        event = first_of_all(scene, memory, flight, view, ALL, event, limits, -math.inf)
+        end = event.time
+    if event.kind == UNDECIDED:
         return why_undecided(memory), 0.0
     for contact in range(count):
-        memory.resting[memory.pairs[contact]] += max(scaled_impulse(memory, contact, end / length) / length, 0.0)
+        impulse = max(scaled_impulse(memory.held, contact, end / length) / length, 0.0)
+        memory.held.resting[memory.contacts.pairs[contact]] += impulse
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
-    if pair != NONE:
+    if event.kind == IMPACT:
         memory.evaluations += 1.0
-        resolve(scene, memory, log, resolution, pair // 4, pair % 4)
+        resolve(scene, memory, log, resolution, event.wall, event.foot)
     elif released >= 0 and end == 0.0:
-        memory.released += 1 << memory.pairs[released]
+        memory.held.released += 1 << memory.contacts.pairs[released]
     if end > 0.0:
-        memory.released = 0
+        memory.held.released = 0
     return Status.DONE, end
 
 
@@ -335,7 +349,7 @@ def first_release(memory: Workspace, count: int, length: float) -> tuple[float, 
     end, released, peak = length, -1, 0.0
     for contact in range(count):
         for k in range(DEGREE + 1):
-            peak = max(peak, abs(memory.series[FORCE + contact, k]))
+            peak = max(peak, abs(memory.held.series[FORCE + contact, k]))
     for contact in range(count):
         time = release_time(memory, contact, length, peak)
         if time < end:
@@ -348,7 +362,7 @@ def release_time(memory: Workspace, contact: int, length: float, peak: float) ->
 
     Infinity if there is none in the stretch, and also if the step's gap evaluations are exhausted.
     """
-    powers = memory.series[FORCE + contact]
+    powers = memory.held.series[FORCE + contact]
     curvature = 0.0
     for k in range(2, DEGREE + 1):
         curvature += k * (k - 1.0) * abs(powers[k])
@@ -372,16 +386,17 @@ def release_time(memory: Workspace, contact: int, length: float, peak: float) ->
     return math.inf
 
 
-def scaled_impulse(memory: Workspace, contact: int, u: float) -> float:
+def scaled_impulse(held: HeldFeet, contact: int, u: float) -> float:
     """Integral of a held foot's scaled force up to ``u``: its impulse times the stretch's length [N s^2]."""
     impulse = 0.0
     for k in range(DEGREE, -1, -1):
-        impulse = SHARES[k] * memory.series[FORCE + contact, k] + impulse * u
+        impulse = SHARES[k] * held.series[FORCE + contact, k] + impulse * u
     return impulse * u
 
 
 def record_rest(memory: Workspace, log: Array, dt: float) -> None:
     """Record the impulse of each foot at rest over the step, as an impact at its end."""
-    for pair in range(16 if memory.holding > 0 else 0):
-        if memory.resting[pair] > 0.0:
-            record_impact(memory, log, dt, pair, memory.resting[pair])
+    held = memory.held
+    for pair in range(16 if held.holding > 0 else 0):
+        if held.resting[pair] > 0.0:
+            record_impact(memory, log, dt, pair, held.resting[pair])

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
-from jackbox_env.exact.step import CONSTANT, make_numbers, make_plan
+from jackbox_env.exact.step import CONSTANT, make_parameters
+from jackbox_env.exact.workspace import make_numbers
 from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
 from jackbox_env.model.tasks import start_pose
@@ -48,20 +49,20 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
         row[SPEED_SCALE] = fall_speed(row[HALF_WIDTH])
 
 
-def spread(values: Array, dt: float, lanes: Array, numbers: Counts) -> None:
-    """Write the numbers of scenes that rows moved together need, see ``glide.SCENE_LANES``.
+def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
+    """Write the numbers of scenes that rows moved together need, see ``glide.SCENE_PARAMS``.
 
     Args:
         values: the scenes' numbers, a row for each of ``numbers`` or one for all.
         dt: control step [s].
-        lanes: shape (blocks, SCENE_LANES, width), to be written.
+        scene_params: shape (blocks, SCENE_PARAMS, width), to be written.
         numbers: of the environments.
     """
     for i in range(numbers.shape[0]):
         scene = make_numbers(values[i if values.shape[0] > 1 else 0])
-        lane = lanes[numbers[i] // lanes.shape[2], :, numbers[i] % lanes.shape[2]]
+        lane = scene_params[numbers[i] // scene_params.shape[2], :, numbers[i] % scene_params.shape[2]]
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
-        lane[CLEAR] = make_plan(scene, dt, CONSTANT).clear
+        lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear
         lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
 
 

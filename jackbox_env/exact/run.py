@@ -13,18 +13,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jackbox_env.exact.act import block_actor
 from jackbox_env.exact.glide import DECISIONS, LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
-from jackbox_env.exact.observe import block_observer
-from jackbox_env.exact.score import block_scorer
-from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, Plan, effort, make_numbers, make_plan, step
+from jackbox_env.exact.score import block_actor, block_observer, block_scorer
+from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, StepParameters, effort, make_parameters, step
 from jackbox_env.exact.workspace import (
     ACTIONS,
     APPLIED,
-    FREED,
     HIT,
     IMPULSE_SUM,
     NEAR,
+    SEPARATED,
     SHARES,
     TORQUE,
     UNSCORED,
@@ -35,6 +33,7 @@ from jackbox_env.exact.workspace import (
     Status,
     Workspace,
     arguments_at,
+    make_numbers,
 )
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.mechanics import energy_of
@@ -60,10 +59,10 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
         failed or is next. The number of episodes that ended. The number of impacts recorded.
     """
     call = arguments_at(address)
-    scenes, rules, results, lanes = call.scenes, call.rules, call.results, call.memory.lanes
+    scenes, rules, results, scratch = call.scenes, call.rules, call.results, call.memory.scratch
     memory, score = call.memory.workspaces[0], block_scorer(rules.score)
     scene = make_numbers(scenes.values[0])
-    plan = make_plan(scene, rules.dt, scenes.kinds[0])
+    params = make_parameters(scene, rules.dt, scenes.kinds[0])
     width, count = call.before.shape[2], results.terminations.shape[0]
     finished, recorded, memory.work = 0, 0, 0.0
     for number in range(low, high):
@@ -71,8 +70,8 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
             if memory.work > rules.patience and memory.work > 0.0:
                 return Status.PAUSED.value, number, k, finished, recorded
             block = Block(
-                (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number], lanes,
-                scenes.lanes[number if scenes.lanes.shape[0] > 1 else 0], number * width,
+                (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number], scratch,
+                scenes.scene_params[number if scenes.scene_params.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
             if k > 0 and skip_rest(call, block, k):
@@ -83,8 +82,8 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 ended = Status.BAD_TORQUE if rules.kind == ACTIONS else Status.BAD_ACTION
                 return ended.value, block.first + bad, k, finished, recorded
             if memory.lane == 0:
-                memory.glided = 1 if glide(scene, plan, scenes, block, memory) else 0
-            ended, lane, recorded = step_lanes(scene, plan, address, block, k, recorded)
+                memory.glided = 1 if fly_block(scene, params, scenes, block, memory) else 0
+            ended, lane, recorded = step_lanes(scene, params, address, block, k, recorded)
             if ended == Status.FULL or ended == Status.PAUSED:
                 return ended.value, number, k, finished, recorded
             memory.lane = 0
@@ -94,13 +93,13 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
             # Reward.
             waiting = keep_waiting(block)
             unscored, skipped, ends = block.before[OVER], waiting, 0
-            if rules.goes_on:
-                unscored, skipped = lanes[UNSCORED], mark_unscored(block, results.terminations)
+            if rules.continue_after_done:
+                unscored, skipped = scratch[UNSCORED], mark_unscored(block, results.terminations)
             if results.rewards.shape[0]:
                 rewards = results.rewards[min(k, results.rewards.shape[0] - 1)]
                 ends = score(
-                    scenes.values, block.after, lanes, unscored, skipped, block.first, k, rewards, results.terminations,
-                    results.reports,
+                    scenes.values, block.after, scratch, unscored, skipped, block.first, k, rewards,
+                    results.terminations, results.reports,
                 )  # fmt: skip
                 if ends < 0:
                     bad = first_unusable(block, rewards)
@@ -125,13 +124,13 @@ def set_torques(address: Any, block: Block, k: int) -> int:
     checked.
     """
     call = arguments_at(address)
-    torque, limit, controls = block.lanes[APPLIED], block.scenes[LIMIT], call.controls
+    torque, limit, controls = block.scratch[APPLIED], block.scene_params[LIMIT], call.controls
     if not controls.shape[0]:
         torque[:] = 0.0
         return -1
     if call.rules.kind == ACTIONS:
         act = block_actor(call.rules.act)
-        return act(call.scenes.values, block.before, block.lanes, controls, block.first, block.size, call.rules.dt)
+        return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     unusable = 0
     for lane in range(block.size):
@@ -149,34 +148,34 @@ def first_unusable(block: Block, numbers: Array) -> int:
     return -1
 
 
-def glide(scene: SceneNumbers, plan: Plan, scenes: Scenes, block: Block, memory: Workspace) -> bool:
+def fly_block(scene: SceneNumbers, params: StepParameters, scenes: Scenes, block: Block, memory: Workspace) -> bool:
     """Move the rows of a block that are in free flight; return whether it did. A block of one row is not moved.
 
-    ``scene`` and ``plan`` are those of the first row, and of all rows if they share a scene.
+    ``scene`` and ``params`` are those of the first row, and of all rows if they share a scene.
     """
     if block.before.shape[1] == 1:
         return False
-    constant = plan.kind == CONSTANT
+    constant = params.kind == CONSTANT
     if scenes.values.shape[0] > 1:
         for lane in range(block.size):
             constant = constant or scenes.kinds[block.first + lane] == CONSTANT
-    elif plan.kind == CHIRP and plan.per_radian == 0.0:
+    elif params.kind == CHIRP and params.per_radian == 0.0:
         # Not with loss: a single step then takes whole turns off the angles, which rounds differently.
-        return glide_under_chirp(scene, plan, block, memory)
+        return glide_under_chirp(scene, params, block, memory)
     if constant:
-        glide_block(plan.dt, block)
+        glide_block(params.dt, block)
     return constant
 
 
 def step_lanes(
-    scene: SceneNumbers, plan: Plan, address: Any, block: Block, k: int, recorded: int
+    scene: SceneNumbers, params: StepParameters, address: Any, block: Block, k: int, recorded: int
 ) -> tuple[Status, int, int]:
     """Step the rows of a block from ``memory.lane`` on, except those that glided and stay off the walls.
 
     Returns:
         How it ended, the lane that failed, and the number of impacts in the log. PAUSED sets ``memory.lane``.
     """
-    before, after, lanes, already = block.before, block.after, block.lanes, recorded
+    before, after, scratch, already = block.before, block.after, block.scratch, recorded
     call = arguments_at(address)
     scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
     varied, first = scenes.values.shape[0] > 1, memory.lane
@@ -184,26 +183,26 @@ def step_lanes(
         if before[OVER, lane] != 0.0:
             continue
         time = before[TIME, lane]
-        if time + plan.dt == time or time + plan.dt > LATEST_TIME:
+        if time + params.dt == time or time + params.dt > LATEST_TIME:
             return Status.TOO_LATE, lane, recorded
         row = block.first + lane
-        kind = scenes.kinds[row] if varied else plan.kind
-        if memory.glided != 0 and lanes[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
+        kind = scenes.kinds[row] if varied else params.kind
+        if memory.glided != 0 and scratch[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
             continue
         if memory.work > call.rules.patience and lane > first:
             memory.lane = lane
             return Status.PAUSED, lane, recorded
-        row_scene, row_plan = scene, plan
+        row_scene, row_params = scene, params
         if varied:
             row_scene = make_numbers(scenes.values[row])
-            row_plan = make_plan(row_scene, plan.dt, kind)
+            row_params = make_parameters(row_scene, params.dt, kind)
         pieces = Pieces(scenes.table, 0, 0)
         if scenes.begins.shape[0]:
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
-        ended, lanes[TORQUE, lane] = step(
-            row_scene, row_plan, before[:, lane], after[:, lane], time, lanes[APPLIED, lane], pieces, memory, room
+        ended, scratch[TORQUE, lane] = step(
+            row_scene, row_params, before[:, lane], after[:, lane], time, scratch[APPLIED, lane], pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
             return ended, lane, recorded
@@ -213,14 +212,14 @@ def step_lanes(
             recorded += memory.hits
         if nonsmooth.shape[0]:
             nonsmooth[row, k] = memory.nonsmooth != 0
-        lanes[HIT, lane], lanes[IMPULSE_SUM, lane] = memory.hits, memory.impulse
+        scratch[HIT, lane], scratch[IMPULSE_SUM, lane] = memory.hits, memory.impulse
         memory.work += effort(memory)
     return Status.DONE, -1, recorded
 
 
 def skip_rest(call: Arguments, block: Block, k: int) -> bool:
     """Whether all rows of a block have stopped before step ``k``; then copies them to where the last step would."""
-    if call.rules.goes_on or call.results.trajectories.shape[0]:
+    if call.rules.continue_after_done or call.results.trajectories.shape[0]:
         return False
     for lane in range(block.size):
         if block.before[OVER, lane] == 0.0:
@@ -254,13 +253,13 @@ def finish_block(call: Arguments, number: int) -> int:
     width = call.before.shape[2]
     rows, first = (call.after if call.rules.steps & 1 else call.before)[number], number * width
     size = min(width, call.results.terminations.shape[0] - first)
-    for lane in range(size if call.rules.resting > 0 else 0):
+    for lane in range(size if call.rules.max_contact_steps > 0 else 0):
         if rows[OVER, lane] == STOPPED:
             rows[OVER, lane] = 0.0
     if not call.results.observations.shape[0]:
         return -1
     observe = block_observer(call.rules.observe)
-    return observe(call.scenes.values, rows, size, call.memory.lanes, first, call.results.observations)
+    return observe(call.scenes.values, rows, size, call.memory.scratch, first, call.results.observations)
 
 
 def keep_waiting(block: Block) -> int:
@@ -277,7 +276,7 @@ def keep_waiting(block: Block) -> int:
 
 def mark_unscored(block: Block, terminations: Flags) -> int:
     """Mark the rows that earn nothing: episodes that are over, or that the task has ended. Return their number."""
-    over, unscored, count = block.before[OVER], block.lanes[UNSCORED], 0
+    over, unscored, count = block.before[OVER], block.scratch[UNSCORED], 0
     for lane in range(block.size):
         unscored[lane] = 1.0 if over[lane] != 0.0 or terminations[block.first + lane] else 0.0
         count += 1 if unscored[lane] != 0.0 else 0
@@ -305,11 +304,11 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
         truncations[first + k] |= new_over[k] != 0.0 and over[k] == 0.0
-    for k in range(count if ends and not rules.goes_on else 0):
+    for k in range(count if ends and not rules.continue_after_done else 0):
         new_over[k] = 1.0 if terminations[first + k] else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
-    if rules.resting > 0:
+    if rules.max_contact_steps > 0:
         stop_rows(rules, block, made)
     if waiting:
         for k in range(count):
@@ -321,10 +320,10 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
 
 def stop_rows(rules: Rules, block: Block, made: int) -> None:
     """Stop the rows that an impact stops after ``made`` steps."""
-    freed, hits, over = block.lanes[FREED], block.lanes[HIT], block.after[OVER]
+    separated, hits, over = block.scratch[SEPARATED], block.scratch[HIT], block.after[OVER]
     for k in range(block.size):
-        freed[k] = 1.0 if hits[k] == 0.0 or (made > 1 and freed[k] != 0.0) else 0.0
-        if over[k] == 0.0 and is_over(made, freed[k] != 0.0, hits[k] > 0.0, rules.resting):
+        separated[k] = 1.0 if hits[k] == 0.0 or (made > 1 and separated[k] != 0.0) else 0.0
+        if over[k] == 0.0 and is_over(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
             over[k] = STOPPED
 
 
@@ -347,6 +346,6 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
                 energies[row, 0] = energy_of(row_scene, block.before[:, lane])
             energies[row, k + 1] = energy_of(row_scene, block.after[:, lane])
         if hits.shape[0] and block.before[OVER, lane] == 0.0:
-            hits[k, row], results.impulses[k, row] = int(block.lanes[HIT, lane]), block.lanes[IMPULSE_SUM, lane]
+            hits[k, row], results.impulses[k, row] = int(block.scratch[HIT, lane]), block.scratch[IMPULSE_SUM, lane]
         if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
             lengths[row] = k + 1

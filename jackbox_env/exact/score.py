@@ -1,26 +1,220 @@
-"""Rewards in compiled code, of one state or of a block of rows.
+"""What tasks, observations and actions compute, in compiled code: of one state or of a block of rows.
 
-Single environments call :func:`judge`; ``run.py`` calls :func:`score_block` after each step of a block. ``score_one``
-and ``score_block`` are compiled for each task, with its functions in place of :func:`task_terms` and :func:`task_over`.
-``judge`` and ``run`` are compiled once and call them by their address, see :mod:`jackbox_env.exact.compiler`.
+``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
+or :func:`observe_rows` after the last one. Single environments call :func:`judge` and :func:`act_one`. All are called
+by their address (:mod:`jackbox_env.exact.compiler`): they are compiled for each task, observation and action with its
+functions in place of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run``
+and ``judge`` are compiled once. For a user's observation :func:`observe_values` replaces :func:`observe`. The default
+observation has a block function of its own, :func:`observe_block`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-from jackbox_env.exact.compiler import called_at
-from jackbox_env.exact.observe import state_in
-from jackbox_env.exact.step import make_numbers
-from jackbox_env.exact.workspace import HIT, IMPULSE_SUM, TORQUE
+import numpy as np
+
+from jackbox_env.exact.compiler import called_at, fixed_tuple
+from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
+from jackbox_env.exact.glide import OVER, TIME
+from jackbox_env.exact.workspace import APPLIED, HIT, IMPULSE_SUM, TORQUE, make_numbers
+from jackbox_env.model.landing import at_landing, landing_features
+from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total
-from jackbox_env.model.states import Array, Flags, Floats, State
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State
+
+block_observer = called_at("i8(f8[:, ::1], f8[:, ::1], i8, f8[:, ::1], i8, f4[:, ::1])")
+LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation
+
+
+def state_in(row: Array) -> State:
+    """The state in the first 12 numbers of a row."""
+    return State(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11])
+
+
+def observe(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
+    """Write the ten numbers of a state; whether none of them is NaN. Replaced if another observation is compiled."""
+    named = state_in(state)
+    cosine, sine = cos_sin(named.theta_box)
+    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
+    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
+    return True
+
+
+def observe_landing(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
+    """Write the ten numbers and the landing features of a state."""
+    named = state_in(state)
+    cosine, sine = cos_sin(named.theta_box)
+    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
+    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
+    duration, relative, world = at_landing(scene, named)
+    cosine_4, sine_4 = cos_sin(relative)
+    cosine_8, sine_8 = cos_sin(2.0 * relative)
+    cosine, sine = cos_sin(world)
+    features = landing_features(
+        scene, named, duration, without_turns(named.theta_box), cosine_4, sine_4, cosine_8, sine_8, cosine, sine
+    )
+    for k in range(len(features)):
+        observation[10 + k] = features[k]
+    return True
+
+
+def observation_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
+    """Placeholder for the function of a user's observation, which replaces it when that is compiled."""
+    raise NotImplementedError
+
+
+def observe_values(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
+    """Write the numbers of a user's observation, clipped to its bounds."""
+    values, usable = observation_values(scene, state_in(state), time), True
+    for k in range(len(values)):
+        value = 1.0 * values[k]  # of a bool too
+        usable = usable and value == value
+        observation[k] = HIGH[k] if value > HIGH[k] else LOW[k] if value < LOW[k] else value
+    return usable
+
+
+def observe_rows(values: Array, block: Array, count: int, scratch: Array, low: int, observations: Floats) -> int:
+    """Write the observations of a block's first ``count`` rows; return the first with a NaN, or -1.
+
+    ``values`` are the scenes' numbers, one row for all environments or one for each; ``low`` is the block's first one.
+    """
+    several = values.shape[0] > 1
+    for k in range(count):
+        scene = make_numbers(values[low + k if several else 0])
+        if not observe(scene, block[:, k], block[TIME, k], observations[low + k]):
+            return k
+    return -1
+
+
+def observe_block(values: Array, block: Array, count: int, scratch: Array, low: int, observations: Floats) -> int:
+    """The same for the ten numbers of :func:`observe`, many rows at a time; always -1."""
+    angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
+    cosine, sine, cosine_4, sine_4 = scratch[0], scratch[1], scratch[2], scratch[3]
+    beyond = 0
+    for k in range(count):
+        cosine[k] = angle[k]
+    for k in range(count):
+        cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
+    for k in range(count):
+        beyond += 0 if max(abs(cosine[k]), abs(cosine_4[k])) < LARGEST else 1
+    if not beyond:
+        for k in range(count):
+            cosine[k], sine[k] = cos_sin_within(cosine[k])
+        for k in range(count):
+            cosine_4[k], sine_4[k] = cos_sin_within(cosine_4[k])
+    else:
+        for k in range(count):
+            cosine[k], sine[k] = cos_sin(cosine[k])
+            cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
+    if values.shape[0] == 1:
+        scene = make_numbers(values[0])
+        for k in range(count):
+            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+    else:
+        for k in range(count):
+            row_scene = make_numbers(values[low + k])
+            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+    return -1
+
+
+def write(
+    scene: SceneNumbers, state: Array, cosine: float, sine: float, cosine_4: float, sine_4: float, observation: Floats
+) -> None:
+    """Write the ten numbers."""
+    a, b, c, d, e, f, g, h, i, j = components(scene, state, cosine, sine, cosine_4, sine_4)
+    observation[0], observation[1], observation[2], observation[3], observation[4] = a, b, c, d, e
+    observation[5], observation[6], observation[7], observation[8], observation[9] = f, g, h, i, j
+
+
+def observe_chosen(values: Array, blocks: Array, numbers: Counts, observations: Floats) -> int:
+    """Write the observations of some environments into their rows; return the first with a NaN, or -1.
+
+    ``values`` has a row for each of ``numbers`` or one for all.
+    """
+    width = blocks.shape[2]
+    for k in range(numbers.shape[0]):
+        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
+        row = blocks[numbers[k] // width, :, numbers[k] % width]
+        if not observe(scene, row, row[TIME], observations[numbers[k]]):
+            return int(numbers[k])
+    return -1
+
+
+def observe_one(values: Array, state: Array, time: float, observation: Floats) -> bool:
+    """Write the observation of one state; whether no number is NaN."""
+    return observe(make_numbers(values), state, time, observation)
+
+
+block_actor = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8, f8)")
+
+
+def action_torque(scene: SceneNumbers, state: State, action: Any, time: float, dt: float) -> float:
+    """Placeholder for the function of an action, which replaces it when that is compiled."""
+    raise NotImplementedError
+
+
+def action_in(controls: Array, number: int) -> Any:
+    """Placeholder for the reader of one environment's action, as :func:`pair_in`."""
+    raise NotImplementedError
+
+
+def pair_in(controls: Array, number: int) -> tuple[float, float]:
+    """The two numbers of an action."""
+    return controls[0, number], controls[1, number]
+
+
+def choice_in(controls: Array, number: int) -> int:
+    """The whole number of an action."""
+    return int(controls[0, number])
+
+
+@cache
+def tuple_in(size: int) -> Callable[[Array, int], tuple[float, ...]]:
+    """A reader of actions of ``size`` numbers."""
+
+    def numbers_in(controls: Array, number: int) -> tuple[float, ...]:
+        return fixed_tuple(controls[:, number], size)
+
+    return numbers_in
+
+
+def act_block(values: Array, before: Array, scratch: Array, controls: Array, first: int, size: int, dt: float) -> int:
+    """Fill in the torques of a step of a block; return the first row whose torque is NaN, or -1.
+
+    Args:
+        values: the scenes' numbers, one row for all environments or one for each.
+        before: the block before the step.
+        scratch: whose row ``APPLIED`` is filled in [N m]; 0 for episodes that are over.
+        controls: actions of all environments, shape (n, N).
+        first: number of the block's first environment.
+        size: rows of the block.
+        dt: control step [s].
+    """
+    several = values.shape[0] > 1
+    for k in range(size):
+        scratch[APPLIED, k] = 0.0
+        if before[OVER, k] == 0.0:
+            number = first + k
+            scene, state = make_numbers(values[number if several else 0]), state_in(before[:, k])
+            share = 1.0 * action_torque(scene, state, action_in(controls, number), before[TIME, k], dt)  # of a bool too
+            if share != share:
+                return k
+            scratch[APPLIED, k] = max(-1.0, min(1.0, share)) * scene.torque_limit
+    return -1
+
+
+def act_one(values: Array, state: Array, controls: Array, time: float, dt: float) -> float:
+    """The torque over its limit of one environment's action, shape (n, 1), not clipped."""
+    return 1.0 * action_torque(make_numbers(values), state_in(state), action_in(controls, 0), time, dt)
+
 
 block_scorer = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])")
 row_scorer = called_at("b1(f8[::1], f8[::1], f8, f8, f8[::1])")
 row_observer = called_at("b1(f8[::1], f8[::1], f8, f4[::1])")
-
 # Columns of a report: torque and reward's terms, impacts and their impulse, summed over the steps of a decision.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 
@@ -76,7 +270,7 @@ def judge(
 
 
 def score_block(
-    values: Array, after: Array, lanes: Array, over: Array, waiting: int, first: int, made: int, rewards: Array,
+    values: Array, after: Array, scratch: Array, over: Array, waiting: int, first: int, made: int, rewards: Array,
     terminations: Flags, reports: Array,
 ) -> int:  # fmt: skip
     """Reward a step of a block, and report it if wanted. The task is not evaluated for episodes that are over.
@@ -86,7 +280,7 @@ def score_block(
     Args:
         values: the scenes' numbers, one row for all environments or one for each.
         after: the block after the step.
-        lanes: torques, impacts and impulses of the step, shape (LANES, width).
+        scratch: torques, impacts and impulses of the step, shape (SCRATCH, width).
         over: not 0 where an episode was over before the step, shape (width,).
         waiting: number of those.
         first: number of the block's first environment.
@@ -95,7 +289,7 @@ def score_block(
         terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
-    torque, hits, impulses, unusable = lanes[TORQUE], lanes[HIT], lanes[IMPULSE_SUM], 0
+    torque, hits, impulses, unusable = scratch[TORQUE], scratch[HIT], scratch[IMPULSE_SUM], 0
     ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
     if not (several or waiting):
         scene = make_numbers(values[0])

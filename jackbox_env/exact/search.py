@@ -1,16 +1,21 @@
 """Detect: the next impact of a flight, or the proof that there is none.
 
-``step.advance`` calls :func:`first_impact`, and then :func:`strike` to fly to the impact and resolve it. The head of
+``step.advance`` calls :func:`first_impact`, and then flies to the impact and resolves it. The head of
 ``simulators/exact.py`` states order, cost and limits.
 
 Guarantee: gap = L - n . (r + o), with L half the box's width, n a wall's normal, r the jack's centre from the box's,
-o a foot from there, |o| = l. With |gap''| <= K until the horizon (``bounds.py``),
+o a foot from there, |o| = l. With |gap''| <= K until the horizon,
 
     gap(t + s) >= gap + gap' s - K s^2 / 2,
 
 so a walk to the first positive root of that parabola never passes an impact. It converges quadratically if the foot
 arrives at speed. If |r| + l < L throughout, no contact is possible and no gap is evaluated. In a box that turns far, K
-is large and many feet may reach many walls: :func:`first_in_a_turn` then follows all of them at once.
+is large and many feet may reach many walls: :func:`first_impact_fast_rotation` then follows all of them at once.
+
+Bounds: with upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of
+|omega_box|, |alpha_box| and |omega_jack - omega_box|, the second derivative of the gap obeys
+
+    |gap''| <= K = a + 2 Omega V + (Omega^2 + A) D + l (S^2 + A).
 """
 
 from __future__ import annotations
@@ -18,35 +23,139 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.bounds import (
-    bounds_of,
-    curvature_to_impact,
-    inside,
-    parabola_root,
-    reach_of,
-    rounding,
-    walls_in_reach,
-)
-from jackbox_env.exact.contact import resolve
-from jackbox_env.exact.flight import (
-    Flight,
-    Piece,
-    View,
-    box_frame,
-    driven_at,
-    evolve,
-    foot_gap,
-    gap_at,
-    towards,
-    view_at,
-    view_of,
-)
-from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
+from jackbox_env.exact.contact import deepest, widened
+from jackbox_env.exact.flight import Flight, Piece, gap_at, view_at
+from jackbox_env.exact.geometry import BoxFrame, View, box_frame, foot_gap, towards, view_of
+from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import Array
 
-# In place of 4 * wall + foot: no impact, undecided after reasonable work, or a foot may be at rest now.
-NONE, UNDECIDED, AT_REST = -1, -2, -3
+_SLACK = 1.0 + 1e-12  # for the rounding of bounds
+
+
+class Bounds(NamedTuple):
+    """Upper bounds of the motion until a horizon."""
+
+    far: float  # distance of the centres [m]
+    centre_curvature: float  # of |(n . r)''|, along a wall's normal [m/s^2]
+    foot_curvature: float  # of |(n . o)''| [m/s^2]
+
+
+def reach_of(scene: SceneNumbers, flight: Flight, horizon: float, max_acceleration: float) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m]."""
+    return farthest(flight.x, flight.y, flight.vx, flight.vy, scene.gravity, max_acceleration, horizon)
+
+
+def farthest(
+    x: float, y: float, vx: float, vy: float, gravity: float, max_acceleration: float, horizon: float
+) -> float:
+    """Bound of the distance of the centres within ``horizon`` [s] [m], from their relative position and velocity."""
+    end_x, end_y = x + vx * horizon, y + (vy - 0.5 * gravity * horizon) * horizon
+    # The farther end of the chord, and the distance of the bent path from the chord.
+    far = math.sqrt(max(x * x + y * y, end_x * end_x + end_y * end_y))
+    return (far + (0.125 * gravity + 0.5 * max_acceleration) * horizon * horizon) * _SLACK
+
+
+def bounds_of(
+    scene: SceneNumbers, flight: Flight, horizon: float, max_angular_acceleration: float, max_acceleration: float
+) -> Bounds:
+    """Bounds within ``horizon`` [s], if the accelerations of the box stay below these."""
+    far = reach_of(scene, flight, horizon, max_acceleration)
+    spin = abs(flight.jack_omega - flight.omega) + max_angular_acceleration * horizon
+    centre_curvature = centre_curvature_of(
+        flight.vx, flight.vy, flight.omega, far, scene.gravity + max_acceleration, max_angular_acceleration, horizon
+    )
+    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + max_angular_acceleration) * _SLACK)
+
+
+def centre_curvature_of(
+    vx: float, vy: float, omega: float, far: float, pull: float, max_angular_acceleration: float, horizon: float
+) -> float:
+    """Bound of the second derivative of n . r, along a wall's normal, within ``horizon`` [s] [m/s^2].
+
+    The centres are at most ``far`` [m] apart, and accelerate relative to each other by ``pull`` [m/s^2] at most.
+    """
+    speed = math.sqrt(vx * vx + vy * vy) + pull * horizon
+    fastest = abs(omega) + max_angular_acceleration * horizon
+    return (pull + 2.0 * fastest * speed + (fastest * fastest + max_angular_acceleration) * far) * _SLACK
+
+
+def curvature_to_impact(
+    scene: SceneNumbers,
+    flight: Flight,
+    horizon: float,
+    max_angular_acceleration: float,
+    max_acceleration: float,
+    outermost: float,
+) -> float:
+    """Bound K of a gap's second derivative within ``horizon`` [s], until a foot first touches a wall [m/s^2].
+
+    Until then a foot is in the box, sqrt(2) L from its centre at most. Feet that are in a wall now get no deeper
+    without touching: ``outermost`` [m], the largest coordinate of a foot on the box's axes now, replaces L if it is
+    larger. With p the foot's position from the box's centre and n the wall's normal, gap = L - n . p, so
+    |gap''| <= |p''| + 2 |n'| |p'| + |n''| |p|; p does not depend on the box's rotation.
+    """
+    arm, spin = scene.jack_arm, abs(flight.jack_omega)
+    pull = scene.gravity + max_acceleration
+    omega = abs(flight.omega) + max_angular_acceleration * horizon
+    speed = math.sqrt(flight.vx * flight.vx + flight.vy * flight.vy) + pull * horizon + arm * spin
+    away = 1.4142136 * max(scene.box_half_width, outermost)
+    return (pull + arm * spin * spin + 2.0 * omega * speed + (omega * omega + max_angular_acceleration) * away) * _SLACK
+
+
+def inside(scene: SceneNumbers, flight: Flight, horizon: float, max_acceleration: float) -> tuple[float, float]:
+    """Times [s] between which no foot can touch, however fast the box turns; 0 and 0 if there are none.
+
+    They may lie outside [0, ``horizon``], where they prove nothing. A foot touches a wall only if its distance from the
+    box's centre is L or more. With r and v the relative position and velocity of the centres, and a bound a of their
+    acceleration, |r + v s| + a s^2 / 2 < L - l holds while |r + v s| < R = L - l - a horizon^2 / 2.
+    """
+    pull = scene.gravity + max_acceleration
+    room = (scene.box_half_width - scene.jack_arm - 0.5 * pull * horizon * horizon) * (1.0 - 1e-12)
+    square = flight.vx * flight.vx + flight.vy * flight.vy
+    linear = flight.x * flight.vx + flight.y * flight.vy
+    beyond = flight.x * flight.x + flight.y * flight.y - room * room
+    root = linear * linear - square * beyond
+    if not (room > 0.0 and root > 0.0 and square > 0.0):
+        return 0.0, 0.0
+    root = math.sqrt(root) * (1.0 - 1e-9)
+    return (-linear - root) / square, (root - linear) / square
+
+
+def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, centre_curvature: float) -> int:
+    """Walls that the circle through the jack's feet may touch within ``horizon`` [s], as bits."""
+    reach = 0.5 * centre_curvature * horizon * horizon
+    walls = 0
+    for wall in range(4):
+        ahead, speed = towards(frame, wall)
+        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, horizon, reach):
+            walls |= 1 << wall
+    return walls
+
+
+def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
+    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``horizon`` [s].
+
+    It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
+    """
+    return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
+
+
+def parabola_root(gap: float, rate: float, curvature: float) -> float:
+    """First s > 0 at which gap + rate s - curvature s^2 / 2 is 0, for gap >= 0; infinity if it never is."""
+    root = math.sqrt(rate * rate + 2.0 * curvature * gap)
+    if rate < 0.0:
+        return 2.0 * gap / (root - rate)
+    return (rate + root) / curvature if curvature > 0.0 else math.inf
+
+
+def rounding(scene: SceneNumbers, flight: Flight, horizon: float) -> float:
+    """Rounding of a gap's rate within ``horizon`` [s] [m/s]."""
+    bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * horizon)
+    return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+
+
+# Kinds of events: an impact, none within the horizon, undecided after reasonable work, or a foot may be at rest now.
+IMPACT, NO_IMPACT, UNDECIDED, AT_REST = range(4)
 MOST_WORK = 1_000_000  # gap evaluations in one step
 _CHATTER_WORK = 65_536  # gap evaluations before a step may count as chattering
 SHORT_HORIZON = 2.0**-12  # of a piece: how far a chattering step searches ahead
@@ -55,14 +164,15 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
-_OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
 
 
-class Touch(NamedTuple):
-    """Gaps at which feet touch in a step."""
+class Event(NamedTuple):
+    """What a search has located."""
 
-    tolerance: float  # gap at which a foot touches [m]
-    resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
+    kind: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
+    time: float  # since the flight's start [s]; NO_IMPACT: the search's end
+    wall: int  # of an impact
+    foot: int
 
 
 class Limits(NamedTuple):
@@ -71,33 +181,6 @@ class Limits(NamedTuple):
     curvature: float  # bound of a gap's second derivative [m/s^2]
     end: float  # of the search, since the flight's start [s]
     half_tolerance: float  # half the contact tolerance [m]
-
-
-def contact_tolerance(scene: SceneNumbers) -> float:
-    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below the rounding of a gap."""
-    return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
-
-
-def deepest(scene: SceneNumbers) -> float:
-    """Depth in a wall up to which a foot may go, and resolutions may grow [m]: 1e-10, less in boxes below 1 m."""
-    return 1e-10 * min(1.0, scene.box_half_width)
-
-
-def widened(scene: SceneNumbers, memory: Workspace, gap: float) -> float:
-    """A ``gap`` [m] doubled with every 32 impacts of a step, with loss every 256, up to :func:`deepest`.
-
-    With loss most series of bounces shrink to the resolution by themselves (Zeno), so it grows later.
-    """
-    often = _OFTEN if scene.restitution == 1.0 else _OFTEN_WITH_LOSS
-    doublings = memory.hits // often
-    part = memory.hits / often - doublings
-    return float(min(deepest(scene), gap * (1 << min(doublings, 60)) * (1.0 + part)))
-
-
-def contact_resolution(scene: SceneNumbers, memory: Workspace, touch: Touch) -> float:
-    """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
-    gap = touch.resolution
-    return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap
 
 
 def is_chattering(scene: SceneNumbers, memory: Workspace) -> bool:
@@ -119,7 +202,7 @@ def first_impact(
     horizon: float,
     tolerance: float,
     resolution: float,
-) -> tuple[float, int]:
+) -> Event:
     """Locate the first impact of a flight within ``horizon`` [s].
 
     Args:
@@ -132,72 +215,72 @@ def first_impact(
         resolution: gap within which a slow foot may be at rest [m]; -inf: none may.
 
     Returns:
-        Its time since the flight's start [s] and 4 * wall + foot; ``NONE`` if there is none, ``UNDECIDED`` if that
-        takes too much work, ``AT_REST`` if a foot may be at rest now.
+        The impact, or an event of another kind.
     """
-    if reach_of(scene, flight, horizon, piece.push) + scene.jack_arm < scene.box_half_width:
-        return horizon, NONE
-    bounds = bounds_of(scene, flight, horizon, piece.spin_up, piece.push)
+    none = Event(NO_IMPACT, horizon, 0, 0)
+    if reach_of(scene, flight, horizon, piece.max_acceleration) + scene.jack_arm < scene.box_half_width:
+        return none
+    bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
     frame = box_frame(flight.x, flight.y, flight.vx, flight.vy, flight.angle, flight.omega)
     walls = walls_in_reach(scene, frame, horizon, bounds.centre_curvature)
     if walls == 0:
-        return horizon, NONE
+        return none
     curvature = bounds.centre_curvature + bounds.foot_curvature
     if not curvature < STEEPEST:
-        return horizon, UNDECIDED
+        return Event(UNDECIDED, horizon, 0, 0)
     # Half the tolerance, so that the foot that the search locates touches in spite of rounding.
     limits = Limits(curvature, horizon, 0.5 * tolerance)
     view = view_of(frame, flight.jack_angle - flight.angle, flight.jack_omega - flight.omega, 0.0)
-    if flight.held == 0 and (abs(flight.omega) + piece.spin_up * horizon) * horizon > _TURNED:
-        return first_in_a_turn(scene, memory, flight, view, limits, resolution, piece)
-    return first_of_all(scene, memory, flight, view, walls, NONE, limits, resolution)
+    if flight.held == 0 and (abs(flight.omega) + piece.max_angular_acceleration * horizon) * horizon > _TURNED:
+        return first_impact_fast_rotation(scene, memory, flight, view, limits, resolution, piece)
+    return first_of_all(scene, memory, flight, view, walls, none, limits, resolution)
 
 
 def first_of_all(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
-    resolution: float,
-) -> tuple[float, int]:  # fmt: skip
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: Event,
+    limits: Limits, resolution: float,
+) -> Event:  # fmt: skip
     """The first impact of any foot on any of these ``walls`` (as bits): see :func:`first_impact`.
 
-    There is none before the moment of the ``view``. The pair ``likely``, if there is one, is searched first.
+    There is none before the moment of the ``view``. The contact of ``likely``, if that is an impact, is searched first.
     """
-    best, pair = limits.end, NONE
+    first = Event(NO_IMPACT, limits.end, 0, 0)
     curvature, half_tolerance = limits.curvature, limits.half_tolerance
     frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
-    if likely != NONE:
-        wall, foot = likely // 4, likely % 4
-        ahead, speed = towards(frame, wall)
-        gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-        time = search(scene, memory, flight, limits, likely, since, gap, rate)
-        if time <= best:
-            best, pair = time, likely
+    if likely.kind == IMPACT:
+        ahead, speed = towards(frame, likely.wall)
+        gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, likely.foot - likely.wall)
+        time = search(scene, memory, flight, limits, likely.wall, likely.foot, since, gap, rate)
+        if time <= first.time:
+            first = Event(IMPACT, time, likely.wall, likely.foot)
     for wall in range(4):
         if not walls & (1 << wall):
             continue
         ahead, speed = towards(frame, wall)
         nearest = scene.box_half_width - ahead - longest  # gap of the nearest foot, now
-        horizon = best - since
+        horizon = first.time - since
         fall = max(speed, 0.0) + scene.jack_arm * abs(spin) + 0.5 * curvature * horizon
         if nearest > half_tolerance and nearest - fall * horizon > 0.0:
             continue
         for foot in range(4):
             gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-            horizon = best - since
+            horizon = first.time - since
             if gap > half_tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
-            number = 4 * wall + foot
-            if flight.held & (1 << number) or number == likely:
+            searched = likely.kind == IMPACT and likely.wall == wall and likely.foot == foot
+            if flight.held & (1 << (4 * wall + foot)) or searched:
                 continue
             if may_rest(scene, flight, limits, gap, rate, resolution):
-                return 0.0, AT_REST
-            time = search(scene, memory, flight, Limits(curvature, best, half_tolerance), number, since, gap, rate)
-            if time < best or (time == best and pair == NONE):
-                best, pair = time, number
-    return best, UNDECIDED if memory.evaluations > MOST_WORK else pair
+                return Event(AT_REST, 0.0, wall, foot)
+            until = Limits(curvature, first.time, half_tolerance)
+            time = search(scene, memory, flight, until, wall, foot, since, gap, rate)
+            if time < first.time or (time == first.time and first.kind == NO_IMPACT):
+                first = Event(IMPACT, time, wall, foot)
+    return Event(UNDECIDED, first.time, 0, 0) if memory.evaluations > MOST_WORK else first
 
 
-def first_in_a_turn(
+def first_impact_fast_rotation(
     scene: SceneNumbers,
     memory: Workspace,
     flight: Flight,
@@ -205,21 +288,24 @@ def first_in_a_turn(
     limits: Limits,
     resolution: float,
     piece: Piece,
-) -> tuple[float, int]:
+) -> Event:
     """The first impact in a box that turns far: see :func:`first_impact`.
 
     The bound K grows with the square of the box's angular velocity, and many feet may reach many walls. So all feet
     are followed together, from pose to pose, until one is about to arrive.
     """
     half_tolerance, end = limits.half_tolerance, limits.end
+    none = Event(NO_IMPACT, end, 0, 0)
     frame, cosine, sine = view.frame, view.cosine, view.sine
     outermost = max(abs(frame.x), abs(frame.y)) + scene.jack_arm * max(abs(cosine), abs(sine))
-    to_impact = curvature_to_impact(scene, flight, end, piece.spin_up, piece.push, outermost)
+    to_impact = curvature_to_impact(
+        scene, flight, end, piece.max_angular_acceleration, piece.max_acceleration, outermost
+    )
     curvature = min(limits.curvature, to_impact)
-    away, back = inside(scene, flight, end, piece.push)
+    away, back = inside(scene, flight, end, piece.max_acceleration)
     while True:
         frame, cosine, sine, spin, s = view
-        step, likely, closing, arrived = end - s, NONE, False, False
+        step, likely, closing, arrived = end - s, none, False, False
         for wall in range(4):
             ahead, speed = towards(frame, wall)
             for foot in range(4):
@@ -229,19 +315,20 @@ def first_in_a_turn(
                     arrived = True
                 gap = max(gap, 0.1 * half_tolerance)  # above 0, so that the time advances
                 if gap + (rate - 0.5 * curvature * step) * step <= 0.0:
-                    step, likely = parabola_root(gap, rate, curvature), 4 * wall + foot
+                    step = parabola_root(gap, rate, curvature)
+                    likely = Event(IMPACT, s + step, wall, foot)
                     closing = rate < 0.0 and rate * rate > _CLOSING * curvature * gap
         if arrived or closing or step < _SHORT * end:
             break
         s += step
         if away < s < back:
             s = back
-        if likely == NONE or s >= end:
-            return end, NONE
+        if likely.kind == NO_IMPACT or s >= end:
+            return none
         memory.evaluations += 1.0
         view = view_at(flight, memory, s)
     if view.time == 0.0:
-        return first_of_all(scene, memory, flight, view, ALL, NONE, limits, resolution)
+        return first_of_all(scene, memory, flight, view, ALL, none, limits, resolution)
     return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, half_tolerance), -math.inf)
 
 
@@ -262,11 +349,12 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: flo
 
 
 def search(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, pair: int, s: float, gap: float, rate: float
-) -> float:
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, wall: int, foot: int, s: float, gap: float,
+    rate: float,
+) -> float:  # fmt: skip
     """First time within ``limits.end`` [s] at which a foot touches a wall and approaches; infinity if there is none.
 
-    ``s`` [s] is where the search starts, with the ``gap`` [m] and ``rate`` [m/s] of ``pair`` = 4 * wall + foot.
+    ``s`` [s] is where the search starts, with the ``gap`` [m] and ``rate`` [m/s] there.
 
     A foot within half the contact tolerance touches, and one more step to the parabola's root ends the walk. The gap
     stays above that parabola, so the foot is not in the wall there. The step s is at most sqrt(2 gap / K), so the gap
@@ -296,26 +384,7 @@ def search(
                 return s
             after = s + 2.3e-16 * s
         s = after
-        gap, rate = gap_at(scene, flight, memory, pair // 4, pair % 4, s)
-
-
-def strike(
-    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, time: float, pair: int, resolution: float
-) -> None:
-    """Fly for ``time`` [s] to an impact of ``pair`` = 4 * wall + foot, and resolve all contacts there."""
-    evolve(memory, flight, time)
-    memory.elapsed += time
-    memory.evaluations += 1.0
-    if memory.hits < log.shape[0] and log.shape[1] == WIDE:
-        record_state(log[memory.hits], flight, memory, time)
-    resolve(scene, memory, log, resolution, pair // 4, pair % 4)
-
-
-def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
-    """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
-    for index in range(12):
-        row[AT_IMPACT + index] = memory.state[index]
-    row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)
+        gap, rate = gap_at(scene, flight, memory, wall, foot, s)
 
 
 def why_undecided(memory: Workspace) -> Status:

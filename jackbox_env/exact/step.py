@@ -5,6 +5,8 @@
 to it, ``contact.py`` resolves it and records it in the log. ``rest.py`` moves the jack while feet rest on walls.
 Positions are measured from the box's centre at the step's start, so a step far from the origin is as accurate as one
 near it.
+A step covers the times in (0, dt]: an impact at its very end belongs to it and not to the next step. Only a foot that
+touches and approaches in the first state strikes at time 0.
 """
 
 from __future__ import annotations
@@ -12,25 +14,38 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.drives import DEGREE, TURN, chirp_piece, chirp_pieces, horner, integrate
-from jackbox_env.exact.flight import Piece, constant_piece, curved_piece, evolve, flight_of, free_flight, stays_clear
+from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, resolve
+from jackbox_env.exact.flight import (
+    DEGREE,
+    TURN,
+    Flight,
+    Piece,
+    chirp_piece,
+    chirp_pieces,
+    constant_piece,
+    curved_piece,
+    driven_at,
+    evolve,
+    flight_of,
+    free_flight,
+    horner,
+    integrate,
+    stays_clear,
+)
+from jackbox_env.exact.geometry import without_turns
 from jackbox_env.exact.rest import advance_held, record_rest, settle
 from jackbox_env.exact.search import (
     AT_REST,
-    NONE,
+    NO_IMPACT,
     SHORT_HORIZON,
     STEEPEST,
     UNDECIDED,
-    Touch,
-    contact_resolution,
-    contact_tolerance,
+    Event,
     first_impact,
     is_chattering,
-    strike,
     why_undecided,
 )
-from jackbox_env.exact.trigonometry import without_turns
-from jackbox_env.exact.workspace import Status, Workspace
+from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
 from jackbox_env.model.scene import SceneNumbers, chirp_turns
 from jackbox_env.model.states import (
     LARGEST,
@@ -52,13 +67,12 @@ from jackbox_env.model.states import (
 _HOLDING_COST = 40.0
 _LARGEST_RESOLVED = 4.5e12  # its unit in the last place is 1e-3
 _FOUR_ULPS = 8.9e-16  # of 1
-
 # What turns the box in a step: a constant torque (0 if nothing acts), the scene's chirp, the functions of its drive, or
 # a constant torque together with the side forces of its drive.
 CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
 
 
-class Plan(NamedTuple):
+class StepParameters(NamedTuple):
     """What all steps of a call have in common."""
 
     dt: float  # [s]
@@ -71,33 +85,25 @@ class Plan(NamedTuple):
 class Pieces(NamedTuple):
     """The pieces of one step under a drive of functions: rows ``first`` to ``last`` - 1 of a table."""
 
-    table: Array  # (all pieces, TABLE_WIDTH), see drives.py
+    table: Array  # (all pieces, TABLE_WIDTH), see flight.py
     first: int
     last: int
 
 
-def make_numbers(values: Array) -> SceneNumbers:
-    """The scene's numbers from their array."""
-    return SceneNumbers(
-        values[0], values[1], values[2], values[3], values[4], values[5],
-        values[6], values[7], values[8], values[9], values[10], values[11], values[12],
-    )  # fmt: skip
-
-
-def make_plan(scene: SceneNumbers, dt: float, kind: int) -> Plan:
+def make_parameters(scene: SceneNumbers, dt: float, kind: int) -> StepParameters:
     """Compute what all steps have in common."""
     # The jack's path bends off its chord by at most g dt^2 / 8.
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
     clear = distance * distance if distance > 0.0 else -1.0
     per_radian = _FOUR_ULPS * scene.box_half_width if scene.restitution < 1.0 else 0.0
-    return Plan(dt, kind, clear, contact_tolerance(scene), per_radian)
+    return StepParameters(dt, kind, clear, contact_tolerance(scene), per_radian)
 
 
 def step(
-    scene: SceneNumbers, plan: Plan, before: Array, after: Array, time: float, torque: float, pieces: Pieces,
-    memory: Workspace, log: Array,
+    scene: SceneNumbers, params: StepParameters, before: Array, after: Array, time: float, torque: float,
+    pieces: Pieces, memory: Workspace, log: Array,
 ) -> tuple[Status, float]:  # fmt: skip
-    """Advance one state by ``plan.dt``.
+    """Advance one state by ``params.dt``.
 
     Args:
         scene: the scene.
@@ -114,54 +120,55 @@ def step(
         How it ended, and the mean torque [N m]. ``after`` is unchanged unless the step is ``DONE``.
     """
     reset_counters(memory)
-    if plan.kind == CONSTANT:
+    if params.kind == CONSTANT:
         alpha = torque / scene.box_inertia
         x, y = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
         vx, vy = before[VX_JACK] - before[VX_BOX], before[VY_JACK] - before[VY_BOX]
-        fall = scene.gravity * plan.dt
-        clear = stays_clear(x, y, vx, vy, fall, plan.dt, plan.clear)
+        fall = scene.gravity * params.dt
+        clear = stays_clear(x, y, vx, vy, fall, params.dt, params.clear)
         if not abs(alpha) < STEEPEST or not (clear or is_resolved(scene, before)):
             return Status.TOO_FAST, 0.0
         ended = Status.FREE
         if not clear:
-            ended = advance(scene, memory, log, constant_piece(plan.dt, alpha), enter_frame(plan, before, memory))
+            ended = advance(scene, memory, log, constant_piece(params.dt, alpha), enter_frame(params, before, memory))
         if ended == Status.FREE:  # no foot touches a wall
-            free_flight(before, after, fall, plan.dt, alpha)
+            free_flight(before, after, fall, params.dt, alpha)
             return Status.DONE, scene.box_inertia * alpha
-        return leave_frame(ended, plan, before, after, memory, log), scene.box_inertia * alpha
+        return leave_frame(ended, params, before, after, memory, log), scene.box_inertia * alpha
     if not is_resolved(scene, before):
         return Status.TOO_FAST, 0.0
-    touch = enter_frame(plan, before, memory)
-    if plan.kind == CHIRP:
-        ended, impulse = advance_chirp(scene, plan, time, touch, memory, log)
+    tolerances = enter_frame(params, before, memory)
+    if params.kind == CHIRP:
+        ended, impulse = advance_chirp(scene, params, time, tolerances, memory, log)
     else:
-        ended, impulse = advance_pieces(scene, plan, torque, pieces, touch, memory, log)
-    mean = torque if plan.kind == CONSTANT_BESIDE_FORCES else impulse / plan.dt
-    return leave_frame(ended, plan, before, after, memory, log), mean
+        ended, impulse = advance_pieces(scene, params, torque, pieces, tolerances, memory, log)
+    mean = torque if params.kind == CONSTANT_BESIDE_FORCES else impulse / params.dt
+    return leave_frame(ended, params, before, after, memory, log), mean
 
 
 def reset_counters(memory: Workspace) -> None:
     """Set what is counted during a step to 0."""
+    held = memory.held
     memory.hits, memory.impulse, memory.evaluations, memory.elapsed, memory.nonsmooth = 0, 0.0, 0.0, 0.0, 0
     memory.pieces = 0
-    if memory.holding > 0:
-        memory.holding = 0
-        memory.resting[:] = 0.0
+    if held.holding > 0:
+        held.holding = 0
+        held.resting[:] = 0.0
 
 
 def effort(memory: Workspace) -> float:
     """The cost of the last step, in gap evaluations; feet at rest cost as much as 40 of them."""
-    return float(memory.evaluations + memory.pieces + (_HOLDING_COST if memory.holding > 0 else 0.0))
+    return float(memory.evaluations + memory.pieces + (_HOLDING_COST if memory.held.holding > 0 else 0.0))
 
 
-def touch_of(plan: Plan, before: Array) -> Touch:
+def tolerances_of(params: StepParameters, before: Array) -> ContactTolerances:
     """The gaps at which feet touch in a step from a state."""
     furthest = max(max(abs(before[X_BOX]), abs(before[Y_BOX])), max(abs(before[X_JACK]), abs(before[Y_JACK])))
-    tolerance = max(plan.tolerance, plan.per_radian * max(abs(before[THETA_BOX]), abs(before[THETA_JACK])))
-    return Touch(tolerance, max(tolerance, _FOUR_ULPS * furthest))
+    tolerance = max(params.tolerance, params.per_radian * max(abs(before[THETA_BOX]), abs(before[THETA_JACK])))
+    return ContactTolerances(tolerance, max(tolerance, _FOUR_ULPS * furthest))
 
 
-def enter_frame(plan: Plan, before: Array, memory: Workspace) -> Touch:
+def enter_frame(params: StepParameters, before: Array, memory: Workspace) -> ContactTolerances:
     """Copy the state to ``memory.state``, in a frame at the box's centre; return the gaps at which feet touch.
 
     With loss whole turns are taken off the angles, so that a foot at rest stays in place however far the box has
@@ -172,9 +179,9 @@ def enter_frame(plan: Plan, before: Array, memory: Workspace) -> Touch:
         state[index] = before[index]
     state[X_BOX] = state[Y_BOX] = 0.0
     state[X_JACK], state[Y_JACK] = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
-    if plan.per_radian > 0.0:
+    if params.per_radian > 0.0:
         state[THETA_BOX], state[THETA_JACK] = angles_in_step(before)
-    return touch_of(plan, before)
+    return tolerances_of(params, before)
 
 
 def angles_in_step(before: Array) -> tuple[float, float]:
@@ -197,7 +204,9 @@ def is_resolved(scene: SceneNumbers, state: Array) -> bool:
     return bool(max(max(position, angle), speed) < _LARGEST_RESOLVED)
 
 
-def leave_frame(ended: Status, plan: Plan, before: Array, after: Array, memory: Workspace, log: Array) -> Status:
+def leave_frame(
+    ended: Status, params: StepParameters, before: Array, after: Array, memory: Workspace, log: Array
+) -> Status:
     """Write the state back to ``after``, and record the impulses of feet at rest.
 
     Nothing is written if the step failed or a number is too large.
@@ -215,7 +224,7 @@ def leave_frame(ended: Status, plan: Plan, before: Array, after: Array, memory: 
     after[X_BOX], after[Y_BOX] = before[X_BOX] + state[X_BOX], before[Y_BOX] + state[Y_BOX]
     after[X_JACK], after[Y_JACK] = jack_x, jack_y
     after[THETA_BOX], after[THETA_JACK] = state[THETA_BOX], state[THETA_JACK]
-    if plan.per_radian > 0.0:
+    if params.per_radian > 0.0:
         angle, jack_angle = angles_in_step(before)
         after[THETA_BOX], after[THETA_JACK] = (
             before[THETA_BOX] + (state[THETA_BOX] - angle),
@@ -223,31 +232,42 @@ def leave_frame(ended: Status, plan: Plan, before: Array, after: Array, memory: 
         )
     for index in range(RATES, 12):
         after[index] = state[index]
-    record_rest(memory, log, plan.dt)
+    record_rest(memory, log, params.dt)
     return ended
 
 
 def advance_chirp(
-    scene: SceneNumbers, plan: Plan, time: float, touch: Touch, memory: Workspace, log: Array
+    scene: SceneNumbers,
+    params: StepParameters,
+    time: float,
+    tolerances: ContactTolerances,
+    memory: Workspace,
+    log: Array,
 ) -> tuple[Status, float]:
     """Advance through a step under the chirp; return how it ended and the torque's impulse [N m s]."""
-    count = chirp_pieces(scene, time, plan.dt)
+    count = chirp_pieces(scene, time, params.dt)
     if count == 0:
         return Status.TOO_MANY_TURNS, 0.0
     turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
     frequency = scene.chirp_start_frequency + scene.chirp_rate * time
-    length, impulse, memory.pieces = plan.dt / count, 0.0, count
+    length, impulse, memory.pieces = params.dt / count, 0.0, count
     for number in range(count):
         chirp_piece(scene, turns, frequency, number * length, length, memory)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, False), touch)
+        ended = advance(scene, memory, log, curved_piece(memory, length, False), tolerances)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
 def advance_pieces(
-    scene: SceneNumbers, plan: Plan, torque: float, pieces: Pieces, touch: Touch, memory: Workspace, log: Array
+    scene: SceneNumbers,
+    params: StepParameters,
+    torque: float,
+    pieces: Pieces,
+    tolerances: ContactTolerances,
+    memory: Workspace,
+    log: Array,
 ) -> tuple[Status, float]:
     """Advance through a step under a drive of functions, or a held torque and its side forces."""
     impulse, table = 0.0, pieces.table
@@ -260,51 +280,51 @@ def advance_pieces(
             inertia = scene.box_inertia if axis == TURN else scene.box_mass
             for k in range(DEGREE + 1):
                 memory.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
-            if axis == TURN and plan.kind == CONSTANT_BESIDE_FORCES:
+            if axis == TURN and params.kind == CONSTANT_BESIDE_FORCES:
                 for k in range(DEGREE + 1):
                     memory.powers[3 * axis, k] = 0.0
                 memory.powers[3 * axis, 0] = torque / inertia
             integrate(memory, axis, length)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, True), touch)
+        ended = advance(scene, memory, log, curved_piece(memory, length, True), tolerances)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
-def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, touch: Touch) -> Status:
+def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tolerances: ContactTolerances) -> Status:
     """Advance ``memory.state`` through a piece, from impact to impact; return how it ended.
 
     Under a constant acceleration it returns FREE if no foot touches a wall. The state is then unchanged, because
     :func:`free_flight` needs no frame at the box. The polynomial accelerations are in ``memory``.
     """
-    memory.released = 0
+    memory.held.released = 0
     since, untouched = 0.0, not piece.curved
     none_rests = False  # whether no foot rests now
     while since < piece.length:
         # Detect.
         remaining = piece.length - since
-        resolution = contact_resolution(scene, memory, touch)
+        resolution = contact_resolution(scene, memory, tolerances)
         horizon = min(remaining, SHORT_HORIZON * piece.length) if is_chattering(scene, memory) else remaining
         flight = flight_of(scene, memory.state, piece, since)
         rest_resolution = -math.inf if none_rests else resolution
-        time, pair = first_impact(scene, memory, flight, piece, horizon, touch.tolerance, rest_resolution)
-        if pair == AT_REST:
-            held = settle(scene, memory, piece, flight, horizon, touch, resolution)
+        event = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
+        if event.kind == AT_REST:
+            held = settle(scene, memory, piece, flight, horizon, tolerances, resolution)
             if held == 0:
                 none_rests = True
                 continue
             untouched = False
-            ended, time = advance_held(scene, memory, log, piece, touch, resolution, since, held)
+            ended, time = advance_held(scene, memory, log, piece, tolerances, resolution, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
             continue
         none_rests = False
-        memory.released = 0
-        if pair == UNDECIDED:
+        memory.held.released = 0
+        if event.kind == UNDECIDED:
             return why_undecided(memory)
-        if pair == NONE:
+        if event.kind == NO_IMPACT:
             if untouched and horizon == remaining:
                 return Status.FREE
             evolve(memory, flight, horizon)  # without an impact
@@ -315,6 +335,25 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         untouched = False
         # Evolve, resolve, record.
-        strike(scene, memory, log, flight, time, pair, resolution)
-        since += time
+        strike(scene, memory, log, flight, event, resolution)
+        since += event.time
     return Status.DONE
+
+
+def strike(
+    scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, impact: Event, resolution: float
+) -> None:
+    """Fly to an impact, and resolve all contacts there."""
+    evolve(memory, flight, impact.time)
+    memory.elapsed += impact.time
+    memory.evaluations += 1.0
+    if memory.hits < log.shape[0] and log.shape[1] == WIDE:
+        record_state(log[memory.hits], flight, memory, impact.time)
+    resolve(scene, memory, log, resolution, impact.wall, impact.foot)
+
+
+def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
+    """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
+    for index in range(12):
+        row[AT_IMPACT + index] = memory.state[index]
+    row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)

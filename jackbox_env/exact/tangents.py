@@ -20,14 +20,9 @@ Fails: several contacts at one moment, an impact slower than 1e-6 v0 or so slow 
 
 from __future__ import annotations
 
-from jackbox_env.exact.contact import Frame, frame_of, gradient, inverse_mass, kick, rate_of
-from jackbox_env.exact.step import (
-    CONSTANT,
-    CONSTANT_BESIDE_FORCES,
-    FUNCTIONS,
-    Plan,
-    enter_frame,
-)
+from jackbox_env.exact.contact import inverse_mass, kick
+from jackbox_env.exact.geometry import Frame, frame_of, gradient, rate_of
+from jackbox_env.exact.step import CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS, StepParameters, enter_frame
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, Workspace
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
@@ -123,7 +118,7 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     The search ends with a gap within the tolerance. Returns the time from there until the gap is 0 [s]; the state is
     that of then.
     """
-    at, row = memory.before, memory.gradients[0]
+    at, row = memory.before, memory.contacts.gradients[0]
     for index in range(12):
         at[index] = hit[AT_IMPACT + index]
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
@@ -137,10 +132,10 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
 
 def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
     """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
-    at, row = memory.before, memory.gradients[0]
-    frame, rate, admittance = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
+    at, row = memory.before, memory.contacts.gradients[0]
+    frame, rate, inverse_effective_mass = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
     extent = scene.box_half_width - (row[X_BOX] * frame.x + row[Y_BOX] * frame.y)  # of the foot along the normal
-    impulse, after = -(1.0 + scene.restitution) * rate / admittance, memory.rates
+    impulse, after = -(1.0 + scene.restitution) * rate / inverse_effective_mass, memory.contacts.rates
     for index in range(6):
         after[index] = at[RATES + index]
     kick(scene, after, row, impulse)
@@ -152,7 +147,7 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
         for index in range(6):
             d[index] += at[RATES + index] * shift
         accelerate(scene, hit, d[RATES:], shift)
-        change_rates(scene, at, row, frame, rate, impulse, admittance, d)
+        change_rates(scene, at, row, frame, rate, impulse, inverse_effective_mass, d)
         for index in range(6):
             d[index] -= after[index] * shift
         accelerate(scene, hit, d[RATES:], -shift)
@@ -171,7 +166,14 @@ def gap_change(d: Array, row: Array) -> float:
 
 
 def change_rates(
-    scene: SceneNumbers, at: Array, row: Array, frame: Frame, rate: float, impulse: float, admittance: float, d: Array
+    scene: SceneNumbers,
+    at: Array,
+    row: Array,
+    frame: Frame,
+    rate: float,
+    impulse: float,
+    inverse_effective_mass: float,
+    d: Array,
 ) -> None:
     """Take a column of a tangent through the impact law at a fixed moment: change its velocities.
 
@@ -193,39 +195,42 @@ def change_rates(
     turn_x, turn_y = -ny * angle, nx * angle  # of the normal
     lever = extent * (d[THETA_JACK] - angle) + jack_arm / scene.jack_arm * d[JACK_ARM]
     box_lever = -(nx * dy - ny * dx - depth * angle) - lever
-    faster = rate_of(d, row)
-    faster += box_lever * at[OMEGA_BOX] + lever * at[OMEGA_JACK] - turn_x * vx - turn_y * vy
+    d_gap_rate = rate_of(d, row)
+    d_gap_rate += box_lever * at[OMEGA_BOX] + lever * at[OMEGA_JACK] - turn_x * vx - turn_y * vy
     box_mass, jack_mass = d[BOX_MASS] / scene.box_mass, d[JACK_MASS] / scene.jack_mass  # relative changes
     box_inertia, jack_inertia = d[BOX_INERTIA] / scene.box_inertia, d[JACK_INERTIA] / scene.jack_inertia
-    softer = box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
-    softer += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
-    softer -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
-    harder = -((1.0 + scene.restitution) * faster + d[RESTITUTION] * rate + impulse * softer) / admittance
-    d[VX_BOX] += (turn_x * impulse + nx * (harder - impulse * box_mass)) / scene.box_mass
-    d[VY_BOX] += (turn_y * impulse + ny * (harder - impulse * box_mass)) / scene.box_mass
-    d[OMEGA_BOX] += (box_lever * impulse + box_arm * (harder - impulse * box_inertia)) / scene.box_inertia
-    d[VX_JACK] -= (turn_x * impulse + nx * (harder - impulse * jack_mass)) / scene.jack_mass
-    d[VY_JACK] -= (turn_y * impulse + ny * (harder - impulse * jack_mass)) / scene.jack_mass
-    d[OMEGA_JACK] += (lever * impulse + jack_arm * (harder - impulse * jack_inertia)) / scene.jack_inertia
+    d_inverse_mass = box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
+    d_inverse_mass += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
+    d_inverse_mass -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
+    d_impulse = (
+        -((1.0 + scene.restitution) * d_gap_rate + d[RESTITUTION] * rate + impulse * d_inverse_mass)
+        / inverse_effective_mass
+    )
+    d[VX_BOX] += (turn_x * impulse + nx * (d_impulse - impulse * box_mass)) / scene.box_mass
+    d[VY_BOX] += (turn_y * impulse + ny * (d_impulse - impulse * box_mass)) / scene.box_mass
+    d[OMEGA_BOX] += (box_lever * impulse + box_arm * (d_impulse - impulse * box_inertia)) / scene.box_inertia
+    d[VX_JACK] -= (turn_x * impulse + nx * (d_impulse - impulse * jack_mass)) / scene.jack_mass
+    d[VY_JACK] -= (turn_y * impulse + ny * (d_impulse - impulse * jack_mass)) / scene.jack_mass
+    d[OMEGA_JACK] += (lever * impulse + jack_arm * (d_impulse - impulse * jack_inertia)) / scene.jack_inertia
 
 
-def drifted(plan: Plan, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
+def drifted(params: StepParameters, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
     """Write the change of the box by the drive between two states, ``s`` [s] apart without an impact in between."""
     drift[:] = 0.0
-    if plan.kind == CONSTANT or plan.kind == CONSTANT_BESIDE_FORCES:
+    if params.kind == CONSTANT or params.kind == CONSTANT_BESIDE_FORCES:
         drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
     else:
         drift[2] = after[THETA_BOX] - before[THETA_BOX] - before[OMEGA_BOX] * s
         drift[5] = after[OMEGA_BOX] - before[OMEGA_BOX]
-    if plan.kind == FUNCTIONS or plan.kind == CONSTANT_BESIDE_FORCES:
+    if params.kind == FUNCTIONS or params.kind == CONSTANT_BESIDE_FORCES:
         for index in range(2):
             drift[index] = after[index] - before[index] - before[RATES + index] * s
             drift[3 + index] = after[RATES + index] - before[RATES + index]
 
 
 def step_tangent(
-    scene: SceneNumbers, plan: Plan, torque: float, before: Array, after: Array, hits: Array, by_time: Array,
-    tangent: Array, memory: Workspace,
+    scene: SceneNumbers, params: StepParameters, torque: float, before: Array, after: Array, hits: Array,
+    by_time: Array, tangent: Array, memory: Workspace,
 ) -> None:  # fmt: skip
     """Take a tangent through a step from one state to the next.
 
@@ -233,14 +238,14 @@ def step_tangent(
     columns).
     """
     alpha, since, state, drift = torque / scene.box_inertia, 0.0, memory.state, memory.drift
-    enter_frame(plan, before, memory)
+    enter_frame(params, before, memory)
     end = memory.after
     for index in range(6):
         end[index], end[RATES + index] = state[index] + (after[index] - before[index]), after[RATES + index]
     for number in range(hits.shape[0]):
         hit = hits[number]
         time = hit[0] + locate(scene, hit, memory)
-        drifted(plan, alpha, state, memory.before, time - since, drift)
+        drifted(params, alpha, state, memory.before, time - since, drift)
         fly(scene, tangent, time - since, drift)
         saltate(scene, tangent, hit, memory)
         for index in range(12):
@@ -248,5 +253,5 @@ def step_tangent(
         since = time
         for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
             by_time[number, column] = tangent[IMPACT_TIME_SHIFT, column]
-    drifted(plan, alpha, state, end, plan.dt - since, drift)
-    fly(scene, tangent, plan.dt - since, drift)
+    drifted(params, alpha, state, end, params.dt - since, drift)
+    fly(scene, tangent, params.dt - since, drift)

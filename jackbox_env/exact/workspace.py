@@ -14,27 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags, Floats
 
 
-class Workspace(np.record):  # type: ignore[misc]
-    """Scratch of one thread: a record of these fields, with the shapes of the arrays. Listed gaps are closed ones."""
+class Contacts(np.record):  # type: ignore[misc]
+    """Listed contacts: those that touch, or those of held feet. Coordinates are weighted by M^1/2 where it says so."""
 
-    hits: int  # impacts of the step so far
-    impulse: float  # of them [N s]
-    evaluations: float  # of gaps
-    pieces: int  # of the drive in the step
-    work: float  # of the call so far, in gap evaluations
-    lane: int  # of a block at which a paused call goes on; 0: at the block's start
-    glided: int  # whether the rows of that block that are in free flight have moved
-    elapsed: float  # since the step's start [s]
-    nonsmooth: int  # 1 if the step has no derivative, or rounding hides it, see derivatives.py
-    state: Annotated[Array, 12]  # in a frame at the box's centre
-    before: Annotated[Array, 12]  # of a tangent: the state just before an impact
-    after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
-    powers: Annotated[Array, 9, 16]  # accelerations of the box, see drives.py
-
-    pairs: Annotated[Counts, 17]  # 4 * wall + foot of the listed gaps
+    pairs: Annotated[Counts, 17]  # 4 * wall + foot
     gaps: Annotated[Array, 17]  # [m]
     gradients: Annotated[Array, 17, 6]
     units: Annotated[Array, 17, 6]  # the same in weighted coordinates, at length 1
@@ -49,22 +36,45 @@ class Workspace(np.record):  # type: ignore[misc]
     triangle: Annotated[Array, 3, 3]
     goals: Annotated[Array, 3]
 
-    holding: int  # number of feet at rest, now or last in this step; they are first in pairs
+
+class HeldFeet(np.record):  # type: ignore[misc]
+    """Feet at rest, and the motion while walls hold them, see ``rest.py`` and ``constrained.py``."""
+
+    holding: int  # number of feet at rest, now or last in this step; they are the first of the listed contacts
     released: int  # feet that were released at this moment, bit 4 * wall + foot of each
     resting: Annotated[Array, 16]  # impulses of held feet in this step [N s], by 4 * wall + foot
-    order: Annotated[Counts, 3]  # of held feet among the listed gaps
+    order: Annotated[Counts, 3]  # of held feet among the listed contacts
     targets: Annotated[Array, 3]  # of their gaps [m]
     free: Annotated[Array, 6]  # accelerations without contact
-    column: Annotated[Array, 3]  # of the inverse of a triangle, see constrained.invert
-    drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
     series: Annotated[Array, 31, 16]  # powers of time over a stretch, in the rows below
-    inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T at held feet
-    lack: Annotated[Array, 3]  # of J qddot there
+    inverse: Annotated[Array, 3, 3]  # of J M^-1 J^T
+    column: Annotated[Array, 3]  # of the inverse of a triangle, see constrained.invert
+    rhs: Annotated[Array, 3]  # of J qddot
+
+
+class Workspace(np.record):  # type: ignore[misc]
+    """Scratch of one thread: a step's counts and states, and two parts."""
+
+    hits: int  # impacts of the step so far
+    impulse: float  # of them [N s]
+    evaluations: float  # of gaps
+    pieces: int  # of the drive in the step
+    work: float  # of the call so far, in gap evaluations
+    lane: int  # of a block at which a paused call goes on; 0: at the block's start
+    glided: int  # whether the rows of that block that are in free flight have moved
+    elapsed: float  # since the step's start [s]
+    nonsmooth: int  # 1 if the step is not differentiable, or rounding hides its derivative, see derivatives.py
+    state: Annotated[Array, 12]  # in a frame at the box's centre
+    before: Annotated[Array, 12]  # of a tangent: the state just before an impact
+    after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
+    drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
+    powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
+    contacts: Contacts
+    held: HeldFeet
 
 
 Workspaces = NDArray[Any]  # of records
-
-# Rows of a workspace's series, on the box's axes, see constrained.py.
+# Rows of the series of held feet, on the box's axes, see constrained.py.
 POSITION_X, POSITION_Y, PSI, TURNED = range(4)  # jack's centre [m], its relative angle, the box's turn [rad]
 RATE_X, RATE_Y, SPIN, OMEGA = range(4, 8)  # their rates, per stretch
 ALPHA, JACK_ALPHA = 8, 9  # angular accelerations of box and jack, per stretch squared
@@ -73,31 +83,33 @@ BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of 
 OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
-
-# Rows of a thread's memory for a block of environments, (LANES, width); 0 to 3 are scratch.
+# Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
-# Rows of lanes near a wall, gathered at the front by ``glide.unmark_off_walls``.
+# Rows of lanes near a wall, gathered at the front by ``glide.clear_marks_by_wall_distance``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
 LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
 UNSCORED = 20  # whether a row earns nothing because its episode is over
-FREED = 21  # whether a step of the call had no impact
+SEPARATED = 21  # whether a step of the call had no impact
 APPLIED = 22  # torque of the controls [N m]
-LANES = 23
+SCRATCH = 23
 
 
-def _field(name: str, hint: Any) -> tuple[Any, ...]:
-    of, *shape = get_args(hint) or (hint,)
-    return name, np.int64 if of in (int, Counts) else np.float64, tuple(shape)
-
-
-_FIELDS = [_field(*of) for of in get_type_hints(Workspace, include_extras=True).items()]
-_LAYOUT = np.dtype((Workspace, np.dtype(_FIELDS, align=True)))
+def _layout(record: type[np.record]) -> np.dtype[Any]:
+    """The layout of a record with these fields, with the shapes of arrays, and of records within it."""
+    fields = []
+    for name, hint in get_type_hints(record, include_extras=True).items():
+        of, *shape = get_args(hint) or (hint,)
+        kind: Any = np.int64 if of in (int, Counts) else np.float64
+        if of in (Contacts, HeldFeet):
+            kind = _layout(of)
+        fields.append((name, kind, tuple(shape)))
+    return np.dtype((record, np.dtype(fields, align=True)))
 
 
 def new_workspaces() -> Workspaces:
     """The workspace of one thread, as an array of one record."""
-    return np.zeros(1, _LAYOUT)
+    return np.zeros(1, _layout(Workspace))
 
 
 # Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives, adds the
@@ -132,7 +144,7 @@ class Scenes(NamedTuple):
     """The scenes and their drives: one for all rows, or one for each."""
 
     values: Array  # (1 or N, numbers of a scene)
-    lanes: Array  # (1 or blocks, SCENE_LANES, width), see ``restart.spread``
+    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``restart.spread``
     kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
@@ -151,8 +163,8 @@ class Rules(NamedTuple):
     steps: int
     longest: float  # steps after which an episode is truncated
     kind: int  # of the controls: TORQUES, SHARES or ACTIONS
-    goes_on: bool  # whether rows go on after their episode's end, without rewards
-    resting: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
+    continue_after_done: bool  # whether rows go on after their episode's end, without rewards
+    max_contact_steps: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
     decisions: float  # calls after which an episode is truncated; counted if it is finite
     score: Any  # address of the task's ``score_block``; unused without rewards
     observe: Any  # address of the observation's ``observe_rows``; unused without observations
@@ -180,7 +192,7 @@ class Results(NamedTuple):
 class Memory(NamedTuple):
     """Memory of one thread."""
 
-    lanes: Array  # (LANES, width)
+    scratch: Array  # (SCRATCH, width)
     workspaces: Workspaces  # (1,)
     log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
 
@@ -193,7 +205,7 @@ def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
         impacts: room in the log at first.
         wide: whether the log records the states at impacts, for derivatives.
     """
-    return Memory(np.zeros((LANES, width)), new_workspaces(), new_log(impacts, wide))
+    return Memory(np.zeros((SCRATCH, width)), new_workspaces(), new_log(impacts, wide))
 
 
 class Arguments(NamedTuple):
@@ -213,7 +225,6 @@ NOTHING = Results(
     np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64),
     np.zeros((0, 0)), np.zeros((0, 0), np.bool_),
 )  # fmt: skip
-"""Results of which nothing is filled in."""
 
 
 def example() -> Arguments:
@@ -271,4 +282,12 @@ def pack(
             ),
             Memory(work[0], work[1], work[2]),
         ),
+    )  # fmt: skip
+
+
+def make_numbers(values: Array) -> SceneNumbers:
+    """The scene's numbers from their array."""
+    return SceneNumbers(
+        values[0], values[1], values[2], values[3], values[4], values[5],
+        values[6], values[7], values[8], values[9], values[10], values[11], values[12],
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 ``"torque"`` is a share of the torque limit. ``"landing"`` is the box's angle and rate at the jack's next landing, to
 which ``landing.aim`` steers in each control step. ``"discrete"`` is one of -1, 0 and 1 of the limit. The exact model
-compiles their functions and those of a user, see ``exact/act.py``.
+compiles their functions and those of a user, see ``exact/score.py``.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ class Repeat(NamedTuple):
     """For how long an action lasts."""
 
     steps: int  # control steps, at most
-    resting: int  # control steps after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
+    max_contact_steps: int  # after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
 
 
 def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:

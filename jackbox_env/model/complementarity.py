@@ -12,7 +12,7 @@ Cost: n^3 / 6 projections for n contacts; a jack and a box have four at most out
 Bits: the same on every processor, because the sums are written out. The functions are plain Python here, for
     :func:`jackbox_env.mechanics.simultaneous_impact_map`, and compiled for the exact contact model.
 
-The functions work in ``memory``, with fields of :class:`jackbox_env.exact.workspace.Workspace`: ``gradients``
+The functions work in ``contacts``, with fields of :class:`jackbox_env.exact.workspace.Contacts`: ``gradients``
 (n, 6), ``units`` W (n, 6), ``lengths`` (n,), ``bias`` (n,), ``rates`` v (6,), ``projected`` (6,), ``multipliers`` (3,),
 ``best`` (3,), and ``basis`` (3 or 4, 6), ``triangle`` (3, 3), ``goals`` (3,) for Gram-Schmidt.
 """
@@ -36,27 +36,27 @@ def root_mass(scene: SceneNumbers, coordinate: int) -> float:
     return math.sqrt(scene.jack_inertia if coordinate == THETA_JACK else mass)
 
 
-def weigh(scene: SceneNumbers, memory: Any, count: int, rates: Array) -> None:
+def mass_scale(scene: SceneNumbers, contacts: Any, count: int, rates: Array) -> None:
     """Fill in v = M^1/2 ``rates``, the rows of J M^-1/2 scaled to length 1, and their lengths."""
     for index in range(6):
         root = root_mass(scene, index)
-        memory.rates[index] = root * rates[index]
+        contacts.rates[index] = root * rates[index]
         for i in range(count):
-            memory.units[i, index] = memory.gradients[i, index] / root
+            contacts.units[i, index] = contacts.gradients[i, index] / root
     for i in range(count):
-        memory.lengths[i] = math.sqrt(dot(memory.units[i], memory.units[i]))
+        contacts.lengths[i] = math.sqrt(dot(contacts.units[i], contacts.units[i]))
         for index in range(6):
-            memory.units[i, index] /= memory.lengths[i]
+            contacts.units[i, index] /= contacts.lengths[i]
 
 
-def nearest(memory: Any, count: int) -> tuple[int, int, int]:
+def nearest(contacts: Any, count: int) -> tuple[int, int, int]:
     """The active contacts, -1 for none: their multipliers take v to the nearest point with w v + bias >= 0 everywhere.
 
-    It tries all sets of one, two and three of ``count`` contacts. Those of the best set are in ``memory.best``.
+    It tries all sets of one, two and three of ``count`` contacts. Those of the best set are in ``contacts.best``.
     """
     lowest = 0.0
     for i in range(count):
-        lowest = min(lowest, dot(memory.units[i], memory.rates) + memory.bias[i])
+        lowest = min(lowest, dot(contacts.units[i], contacts.rates) + contacts.bias[i])
     if lowest >= 0.0:
         return -1, -1, -1  # nothing approaches
     least = math.inf
@@ -67,24 +67,24 @@ def nearest(memory: Any, count: int) -> tuple[int, int, int]:
                 if k == j and j != i:
                     continue  # sets of one (i, i, i), two (i, i, k) and three (i, j, k)
                 size = 1 if k == i else 2 if j == i else 3
-                violation = violation_of(memory, count, size, k, i, j)
+                violation = violation_of(contacts, count, size, k, i, j)
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
                     for index in range(3):
-                        memory.best[index] = memory.multipliers[index]
+                        contacts.best[index] = contacts.multipliers[index]
     return one, two, three
 
 
-def violation_of(memory: Any, count: int, size: int, one: int, two: int, three: int) -> float:
+def violation_of(contacts: Any, count: int, size: int, one: int, two: int, three: int) -> float:
     """By how much a set's projection closes gaps; infinity if its rows are dependent or a multiplier is negative."""
-    if not project(memory, size, one, two, three):
+    if not project(contacts, size, one, two, three):
         return math.inf
     violation = 0.0
     for index in range(size):
-        violation = math.inf if memory.multipliers[index] < 0.0 else violation
+        violation = math.inf if contacts.multipliers[index] < 0.0 else violation
     for other in range(count):
-        violation = max(violation, -(dot(memory.units[other], memory.projected) + memory.bias[other]))
+        violation = max(violation, -(dot(contacts.units[other], contacts.projected) + contacts.bias[other]))
     return violation
 
 
@@ -93,39 +93,39 @@ def dot(a: Array, b: Array) -> float:
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5])
 
 
-def project(memory: Any, size: int, one: int, two: int, three: int) -> bool:
+def project(contacts: Any, size: int, one: int, two: int, three: int) -> bool:
     """Project v on w v + bias = 0 of ``size`` rows: the point v + sum of multipliers times rows.
 
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = triangle^T basis.
     """
-    point, multipliers = memory.projected, memory.multipliers
+    point, multipliers = contacts.projected, contacts.multipliers
     for index in range(6):
-        point[index] = memory.rates[index]
+        point[index] = contacts.rates[index]
     for a in range(size):
         picked = one if a == 0 else two if a == 1 else three
         for index in range(6):
-            memory.basis[a, index] = memory.units[picked, index]
+            contacts.basis[a, index] = contacts.units[picked, index]
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
-                share = dot(memory.basis[b], memory.basis[a])
-                memory.triangle[b, a] = share if turn == 0 else memory.triangle[b, a] + share
+                share = dot(contacts.basis[b], contacts.basis[a])
+                contacts.triangle[b, a] = share if turn == 0 else contacts.triangle[b, a] + share
                 for index in range(6):
-                    memory.basis[a, index] -= share * memory.basis[b, index]
-        length = math.sqrt(dot(memory.basis[a], memory.basis[a]))
+                    contacts.basis[a, index] -= share * contacts.basis[b, index]
+        length = math.sqrt(dot(contacts.basis[a], contacts.basis[a]))
         if length < _DEPENDENT:
             return False
-        memory.triangle[a, a] = length
+        contacts.triangle[a, a] = length
         for index in range(6):
-            memory.basis[a, index] /= length
-        goal = memory.bias[picked]
+            contacts.basis[a, index] /= length
+        goal = contacts.bias[picked]
         for b in range(a):
-            goal += memory.triangle[b, a] * memory.goals[b]
-        memory.goals[a] = 0.0 - goal / length
-        multipliers[a] = -(dot(memory.basis[a], point) - memory.goals[a])
+            goal += contacts.triangle[b, a] * contacts.goals[b]
+        contacts.goals[a] = 0.0 - goal / length
+        multipliers[a] = -(dot(contacts.basis[a], point) - contacts.goals[a])
         for index in range(6):
-            point[index] += multipliers[a] * memory.basis[a, index]
+            point[index] += multipliers[a] * contacts.basis[a, index]
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
-            multipliers[a] -= memory.triangle[a, b] * multipliers[b]
-        multipliers[a] /= memory.triangle[a, a]
+            multipliers[a] -= contacts.triangle[a, b] * multipliers[b]
+        multipliers[a] /= contacts.triangle[a, a]
     return True

@@ -127,16 +127,17 @@ def clipped(value: float, bound: float) -> float:
     return bound if value > bound else -bound if value < -bound else value
 
 
-def is_over(steps: Any, freed: Any, struck: Any, resting: int) -> Any:
+def is_over(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> Any:
     """Whether an impact ends a decision after so many steps; of one decision, or of arrays.
 
     Args:
         steps: that it has lasted.
-        freed: whether one of them had no impact.
+        separated: whether one of them had no impact.
         struck: whether the last one had an impact.
-        resting: steps after which an impact ends it even if all had one, as while a foot rests; 0: no impact ends it.
+        max_contact_steps: steps after which an impact ends it even if all had one, as while a foot rests; 0: no impact
+            ends it.
     """
-    return struck & (resting > 0) & (freed | (steps >= resting))
+    return struck & (max_contact_steps > 0) & (separated | (steps >= max_contact_steps))
 
 
 def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:

@@ -29,7 +29,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.model.complementarity import nearest, weigh
+from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -206,16 +206,16 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
         return before, np.zeros(0)
     count, (walls, feet) = len(pairs), np.array(pairs).T
     _, jacobian = contacts_of(scene, np.tile(before, (count, 1)), walls, feet)  # (n, 6)
-    memory = SimpleNamespace(
+    listed_contacts = SimpleNamespace(
         gradients=jacobian, units=np.zeros((count, 6)), lengths=np.zeros(count), bias=np.zeros(count),
         rates=np.zeros(6), projected=np.zeros(6), multipliers=np.zeros(3), best=np.zeros(3), basis=np.zeros((3, 6)),
         triangle=np.zeros((3, 3)), goals=np.zeros(3),
     )  # fmt: skip
-    weigh(scene.numbers, memory, count, before[RATES:])
+    mass_scale(scene.numbers, listed_contacts, count, before[RATES:])
     after, impulses, masses = before.copy(), np.zeros(count), np.array(scene.mass_diagonal)
-    for row, number in enumerate(nearest(memory, count)):
+    for row, number in enumerate(nearest(listed_contacts, count)):
         if number >= 0:
-            impulses[number] = (1.0 + scene.restitution) * memory.best[row] / memory.lengths[number]
+            impulses[number] = (1.0 + scene.restitution) * listed_contacts.best[row] / listed_contacts.lengths[number]
             after[RATES:] += jacobian[number] * impulses[number] / masses
     return after, impulses
 

@@ -15,7 +15,7 @@
 
 with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. ``"landing"`` appends the eleven
 numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact model compiles the
-functions here and those of a user, see ``exact/observe.py``.
+functions here and those of a user, see ``exact/score.py``.
 """
 
 from __future__ import annotations

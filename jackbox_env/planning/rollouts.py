@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.envs.scoring import bad_reward, compiled_for
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
+from jackbox_env.exact.glide import SCENE_PARAMS, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
@@ -314,12 +314,12 @@ def _scenes_played(
     A constant ``torque`` replaces that of the drives.
     """
     values = np.array([one.numbers for one in scenes])
-    lanes = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_LANES, shape[3]))
-    compiled(spread)(values, dt, lanes, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
+    scene_params = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_PARAMS, shape[3]))
+    compiled(spread)(values, dt, scene_params, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
     if not any(kind in WITH_PIECES for kind in kinds.tolist()):
-        return Scenes(values, lanes, kinds, *NO_PIECES)
+        return Scenes(values, scene_params, kinds, *NO_PIECES)
     starts, tables, begins = (times[:-1] if len(times) > 1 else times).T.tolist(), list[Array](), dict[Any, int]()
     rows = [(drive, starts[row if len(starts) > 1 else 0]) for row, drive in enumerate(drives)]
     for drive, begin in rows:
@@ -327,7 +327,7 @@ def _scenes_played(
             begins[id(drive), begin[0]] = len(tables)
             tables += [pieces_for(drive, start, dt, torque) for start in begin]
     first = np.array([begins[id(drive), begin[0]] for drive, begin in rows], np.int64)
-    return Scenes(values, lanes, kinds, *joined(tables, first))
+    return Scenes(values, scene_params, kinds, *joined(tables, first))
 
 
 def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pymunk
 
-from jackbox_env.exact.contact import quarter
+from jackbox_env.exact.geometry import quarter
 from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.base import Impact
 

@@ -21,10 +21,10 @@ Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostErro
     piece is missed.
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
-    (``trigonometry.py``).
+    (``geometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/search.py``.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from jackbox_env.exact.compiler import compiled
-from jackbox_env.exact.drives import TABLE_WIDTH
-from jackbox_env.exact.glide import SCENE_LANES, TIME, WIDTH
+from jackbox_env.exact.flight import TABLE_WIDTH
+from jackbox_env.exact.glide import SCENE_PARAMS, TIME, WIDTH
 from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
@@ -183,7 +183,7 @@ class ExactSimulator(Simulator):
         self._blocks, self._states, self._run = blocks, list(blocks[:, 0, :12, 0]), compiled(run)
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
         self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
-        self._torques = [_view(call.memory.lanes[TORQUE]) for call in self._calls]
+        self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
@@ -195,8 +195,8 @@ class ExactSimulator(Simulator):
         pieces = NO_PIECES
         if self._cut[held]:
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
-        numbers, lanes = np.array([self.scene.numbers]), np.zeros((1, SCENE_LANES, 1))
-        scenes = Scenes(numbers, lanes, self._kinds[held], *pieces)
+        numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
+        scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
         rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))

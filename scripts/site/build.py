@@ -156,10 +156,10 @@ def _agent(folder: Path) -> dict[str, Any]:
     expected = [shape for before, after in sizes for shape in ((after, before), (after,))]
     if settings["observation"] != "landing" or [part.shape for part in layers] != expected:
         raise ValueError(f"the page plays networks of observation 'landing' and two hidden layers, got {folder}")
-    longest, resting = repeat_of(settings["action_repeat"], settings["control_dt"])
+    longest, most = repeat_of(settings["action_repeat"], settings["control_dt"])
     return {
         "weights": packed(np.round(weights / scale), "<i2"), "scale": scale, "hidden": hidden, "outputs": outputs,
-        "longest": longest, "resting": resting,
+        "longest": longest, "max_contact_steps": most,
     }  # fmt: skip
 
 

@@ -11,14 +11,13 @@ from typing import Any
 
 from numba.np.arrayobj import get_cfarray_intrinsic
 
-from jackbox_env.exact.drives import TABLE_WIDTH
+from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.glide import WIDTH
-from jackbox_env.exact.observe import observe_landing, state_in
 from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
-from jackbox_env.exact.score import score_one
-from jackbox_env.exact.step import Pieces, make_numbers, make_plan
+from jackbox_env.exact.score import observe_landing, score_one, state_in
+from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
-from jackbox_env.exact.workspace import AT_IMPACT
+from jackbox_env.exact.workspace import AT_IMPACT, make_numbers
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over
@@ -33,7 +32,7 @@ SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 # Parts of the buffer, and their lengths.
 PARTS = {
     "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
-    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "FREED": 1,
+    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
     "GAP": 1,
 }  # fmt: skip
 
@@ -43,7 +42,7 @@ IMPACTS_AT = -(-sum(PARTS.values()) // AT_IMPACT) * AT_IMPACT  # rows of the log
 LENGTH = IMPACTS_AT + AT_IMPACT * MOST_IMPACTS
 (
     SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY, SHARE, ACTION,
-    STEPS, FREED, GAP,
+    STEPS, SEPARATED, GAP,
 ) = OFFSETS.values()  # fmt: skip
 array: Any = get_cfarray_intrinsic("C", None)  # type: ignore[no-untyped-call]  # numba's carray, which would want its runtime
 
@@ -53,8 +52,12 @@ def step(buffer: Any, workspace: Any) -> None:
     d, memory = array(buffer, (LENGTH,)), array(workspace, (1,))[0]
     log = array(buffer, (LENGTH // AT_IMPACT, AT_IMPACT))[IMPACTS_AT // AT_IMPACT :]
     scene, none = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), Pieces(array(buffer, (0, TABLE_WIDTH)), 0, 0)
-    plan, before, after = make_plan(scene, d[DT], int(d[KIND])), d[BEFORE : BEFORE + 12], d[AFTER : AFTER + 12]
-    status, d[MEAN_TORQUE] = step_once(scene, plan, before, after, d[TIME], d[TORQUE], none, memory, log)
+    params, before, after = (
+        make_parameters(scene, d[DT], int(d[KIND])),
+        d[BEFORE : BEFORE + 12],
+        d[AFTER : AFTER + 12],
+    )
+    status, d[MEAN_TORQUE] = step_once(scene, params, before, after, d[TIME], d[TORQUE], none, memory, log)
     d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
 
 
@@ -94,7 +97,14 @@ def measure(buffer: Any) -> None:
 
 
 def act(
-    buffer: Any, observation: Any, weights: Any, values: Any, hidden: int, outputs: int, longest: int, resting: int
+    buffer: Any,
+    observation: Any,
+    weights: Any,
+    values: Any,
+    hidden: int,
+    outputs: int,
+    longest: int,
+    max_contact_steps: int,
 ) -> None:
     """The trained agent's SHARE of the torque limit in the step from AFTER.
 
@@ -103,12 +113,12 @@ def act(
     """
     d = array(buffer, (LENGTH,))
     if 0.0 <= d[STEPS] < longest:
-        d[FREED] = max(d[FREED], 1.0 if d[HITS] == 0.0 else 0.0)
-        if is_over(d[STEPS], d[FREED] != 0.0, d[HITS] > 0.0, resting):
+        d[SEPARATED] = max(d[SEPARATED], 1.0 if d[HITS] == 0.0 else 0.0)
+        if is_over(d[STEPS], d[SEPARATED] != 0.0, d[HITS] > 0.0, max_contact_steps):
             d[STEPS] = -1.0
     if not 0.0 <= d[STEPS] < longest:
         decide(d, array(observation, (OBSERVED,)), weights, values, hidden, outputs)
-        d[STEPS] = d[FREED] = 0.0
+        d[STEPS] = d[SEPARATED] = 0.0
     d[STEPS] += 1.0
     d[SHARE] = d[ACTION]
     if outputs == 2:

@@ -84,11 +84,11 @@ async function loadPhysics(bytes, { offsets, impactsAt, length, mostImpacts, obs
         return 0 + buffer[offsets.REWARDS] + buffer[offsets.REWARDS + 1];
       },
       // A trained policy: a function that returns its share of the torque limit in the step from `after`.
-      agent({ weights, hidden, outputs, longest, resting }) {
+      agent({ weights, hidden, outputs, longest, max_contact_steps }) {
         const [stored, values] = [allocate(Float32Array, weights.length), allocate(Float64Array, observed + 2 * hidden + outputs)];
         stored.set(weights);
         const act = () => {
-          call("act", buffer, this.observe(), stored, values, ...[hidden, outputs, longest, resting].map(BigInt));
+          call("act", buffer, this.observe(), stored, values, ...[hidden, outputs, longest, max_contact_steps].map(BigInt));
           return buffer[offsets.SHARE];
         };
         return Object.assign(act, { restart: () => write({ STEPS: -1 }) });

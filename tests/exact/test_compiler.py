@@ -13,8 +13,8 @@ from numba.core.errors import TypingError
 
 from jackbox_env.envs.batches.threads import Threads, thread_count
 from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.trigonometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import Call, example, new_memory
 
 

@@ -19,8 +19,7 @@ from numba.core.codegen import JITCPUCodegen
 
 import jackbox_env
 from jackbox_env.exact import code_cache, compiler
-from jackbox_env.exact.contact import quarter
-from jackbox_env.exact.trigonometry import cos_sin, cos_sin_within
+from jackbox_env.exact.geometry import cos_sin, cos_sin_within, quarter
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
 

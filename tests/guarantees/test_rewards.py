@@ -26,7 +26,7 @@ from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, S
 from jackbox_env.envs import scoring
 from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, PlainFunctions
-from jackbox_env.exact import act, compiler, observe, score
+from jackbox_env.exact import compiler, score
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.model.scene import SceneNumbers, total
 from jackbox_env.model.tasks import TASKS
@@ -237,10 +237,12 @@ USERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
         Task(("paid",), lambda scene, state, torque, impulse: (1.0,)), score.score_one, score.row_scorer,
     ),
     "observation": lambda: (
-        Observation(("seen",), 0.0, 1.0, lambda scene, state, time: (1.0,)), observe.observe_one, score.row_observer,
+        Observation(("seen",), 0.0, 1.0, lambda scene, state, time: (1.0,)), score.observe_one, score.row_observer,
     ),
     "action": lambda: (
-        Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: action[0]), act.act_block, act.block_actor,
+        Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: action[0]),
+        score.act_block,
+        score.block_actor,
     ),
 }  # fmt: skip
 

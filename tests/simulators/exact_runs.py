@@ -24,9 +24,9 @@ def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None,
     before, after = np.array(state, dtype=float), np.empty(12)
     pieces = pieces_for(scene.drive, time, dt, torque)
     held = 0.0 if torque is None else torque
-    plan = step.make_plan(n, dt, drive_kind(scene.drive, torque is not None))
+    params = step.make_parameters(n, dt, drive_kind(scene.drive, torque is not None))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ended, _ = step.step(n, plan, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w, log)
+        ended, _ = step.step(n, params, before, after, time, held, step.Pieces(pieces, 0, len(pieces)), w, log)
     rows = log[: w.hits, :3]
     return ended, after, [(row[0], int(row[1]), int(row[2])) for row in rows]
 

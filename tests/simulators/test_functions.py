@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Drive, Scene, make_simulator
 from jackbox_env.exact.compiler import compiled
-from jackbox_env.exact.drives import DEGREE, POINTS, interpolate
+from jackbox_env.exact.flight import DEGREE, POINTS, interpolate
 from jackbox_env.simulators import functions
 from jackbox_env.simulators.functions import function_pieces
 

@@ -13,7 +13,7 @@ from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_a
 from jackbox_env.envs.batches.scenes import SceneTable
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
-from jackbox_env.exact import act, glide, observe, restart, run, score, workspace
+from jackbox_env.exact import glide, restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
@@ -82,13 +82,13 @@ class ExactBatch:
         task, observation, action = self._nouns
         plain = action is ACTIONS["torque"]
         scorer = compiled_for(task, score.score_block)
-        observer = compiled_for(observation, observe.observe_block if observation is STATE else observe.observe_rows)
-        actor = None if plain else compiled_for(action, act.act_block)
+        observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
+        actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._kind = SHARES if plain else workspace.ACTIONS
         self._addresses = (
-            address_of(scorer, score.block_scorer), address_of(observer, observe.block_observer),
-            address_of(actor, act.block_actor),
+            address_of(scorer, score.block_scorer), address_of(observer, score.block_observer),
+            address_of(actor, score.block_actor),
         )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ class ExactBatch:
 
     def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> int:
         """Write observations into their rows; return the first row with a NaN, or -1."""
-        return int(compiled_for(self._nouns.observation, observe.observe_chosen)(rows, blocks, numbers, observations))
+        return int(compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations))
 
     def _bad_observation(self, observation: Floats, number: int) -> TaskError:
         error = bad_observation(self._nouns.observation, observation.tolist())
@@ -280,7 +280,7 @@ class ExactBatch:
 
     def step(self, actions: Array | None) -> Outcome:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
-        count, halt, (steps, resting) = self._count, Halt(), self._repeat
+        count, halt, (steps, max_contact_steps) = self._count, Halt(), self._repeat
         terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
         filled = Results(
             np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
@@ -289,7 +289,15 @@ class ExactBatch:
         )  # fmt: skip
         scenes, limits = self._scenes_of_steps(int(actions is not None), steps), self._limits
         rules = Rules(
-            self._dt, steps, limits.steps, self._kind, False, resting, limits.decisions, *self._addresses, run.PATIENCE
+            self._dt,
+            steps,
+            limits.steps,
+            self._kind,
+            False,
+            max_contact_steps,
+            limits.decisions,
+            *self._addresses,
+            run.PATIENCE,
         )
         spare, calls = self._spare, self._calls
         before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
@@ -342,7 +350,7 @@ class ExactBatch:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
         scenes = self._scenes
         if not scenes.cutting[torque]:
-            return Scenes(scenes.values, scenes.lanes, scenes.kinds[torque], *NO_PIECES)
+            return Scenes(scenes.values, scenes.scene_params, scenes.kinds[torque], *NO_PIECES)
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(glide.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 

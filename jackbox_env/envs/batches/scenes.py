@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.exact.compiler import compiled
-from jackbox_env.exact.glide import SCENE_LANES
+from jackbox_env.exact.glide import SCENE_PARAMS
 from jackbox_env.exact.restart import spread
 from jackbox_env.exact.workspace import Scenes
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
@@ -45,9 +45,9 @@ class SceneTable:
         if several and len(originals) < count:
             rows, self.drives = np.repeat(rows, count, axis=0), self.drives * count
         self.values: Array = rows  # (1 or N, numbers of a scene)
-        self.lanes: Array = np.zeros((shape[0] if several else 1, SCENE_LANES, shape[2]))
+        self.scene_params: Array = np.zeros((shape[0] if several else 1, SCENE_PARAMS, shape[2]))
         numbers = np.arange(count if several else shape[2])
-        compiled(spread)(self.values, dt, self.lanes, numbers)
+        compiled(spread)(self.values, dt, self.scene_params, numbers)
         self._derive_kinds()
         self._changing = False  # whether an interruption has left a change unfinished
 
@@ -68,7 +68,7 @@ class SceneTable:
             return self
         twin = SceneTable(self.originals, True, shape, self.count, self.dt)
         twin.values[:] = self.values
-        twin.lanes[:] = self.lanes
+        twin.scene_params[:] = self.scene_params
         twin.drives = self.drives * self.count
         twin._derive_kinds()
         return twin
@@ -118,7 +118,7 @@ class SceneTable:
             begins[number] = begin
         # Environments without functions count their steps from the first table.
         tables += [NO_TABLE] * (int(steps.max()) - len(tables))
-        return Scenes(self.values, self.lanes, self.kinds[torque], *joined(tables, begins))
+        return Scenes(self.values, self.scene_params, self.kinds[torque], *joined(tables, begins))
 
     def put(self, numbers: Counts, rows: Array) -> None:
         """Set the numbers of some environments' scenes, or of all if they share one."""
@@ -127,8 +127,8 @@ class SceneTable:
         if self.several:
             self.values[numbers] = rows
         else:
-            self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.lanes.shape[2])
-        compiled(spread)(rows, self.dt, self.lanes, numbers)
+            self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.scene_params.shape[2])
+        compiled(spread)(rows, self.dt, self.scene_params, numbers)
         self._changing = False
 
     def repair(self) -> None:

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene, Task, linearize
 from jackbox_env.exact.compiler import compiled, compiled_with
-from jackbox_env.exact.flight import Flight, View, foot_gap, gap_at, towards, view_at
+from jackbox_env.exact.flight import Flight, gap_at, view_at
+from jackbox_env.exact.geometry import View, foot_gap, towards
 from jackbox_env.exact.restart import outside
-from jackbox_env.exact.search import NONE, Limits
+from jackbox_env.exact.search import IMPACT, NO_IMPACT, Event, Limits
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.tasks import sample_start
@@ -296,15 +297,15 @@ def rolled(
 
 
 def first_of_all(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: int, limits: Limits,
-    resolution: float,
-) -> tuple[float, int]:  # fmt: skip
+    scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: Event,
+    limits: Limits, resolution: float,
+) -> Event:  # fmt: skip
     """Unguarded search for impacts: gaps at the step's end, then Newton's method. It misses what happens in between.
 
     It replaces the certified search of ``jackbox_env.exact.search`` and returns values like it: the earliest root of
     the gaps that are closed at the end. The difference is the price of the guarantee.
     """
-    best, pair = limits.end, NONE
+    first = Event(NO_IMPACT, limits.end, 0, 0)
     at_end, cosine, sine, spin, _ = view_at(flight, memory, limits.end)
     for wall in range(4):
         if not walls & (1 << wall):
@@ -320,9 +321,9 @@ def first_of_all(
                 gap, rate = gap_at(scene, flight, memory, wall, foot, s)
                 if abs(gap) <= limits.half_tolerance or rate == 0.0:
                     break
-            if s <= best and rate < 0.0:
-                best, pair = s, 4 * wall + foot
-    return best, pair
+            if s <= first.time and rate < 0.0:
+                first = Event(IMPACT, s, wall, foot)
+    return first
 
 
 def unguarded(run: Callable[[], T]) -> Callable[[], T]:
