@@ -23,7 +23,7 @@ ROUNDED := $(addprefix tests/,agents batches commands environment measuring stud
 # Those in which networks play and train, and derivatives.
 ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py \
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
-	measuring/test_fitting.py studies/test_distil.py)
+	measuring/test_fitting.py agents/test_distil.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
@@ -120,7 +120,7 @@ results: .venv/ready
 
 # Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 140 s of one core each.
 networks: .venv/ready
-	@$(BIN)/python scripts/studies/networks.py
+	@$(BIN)/python -m agents.training.networks
 
 # The site in docs/_build/html; the notebooks run, about two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready

@@ -25,6 +25,7 @@ from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
 from agents.training.models import derived_seed
+from agents.training.networks import run_of
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
@@ -80,11 +81,6 @@ def _evaluated(name: str, acting: PolicyWithEnv, env_settings: dict[str, Any], e
     """The stored figures of an evaluation."""
     row = evaluate(name, acting, env_settings, episodes, SEED).as_json()
     return {key: value for key, value in row.items() if key != "returns"}
-
-
-def run_of(folder: Path, task: str, seed: int) -> Path:
-    """Run folder of a training by the settings of the shipped network, which is that of seed 0."""
-    return folder / f"{task}-{seed}"
 
 
 def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:

@@ -21,12 +21,12 @@ from tqdm import trange
 from agents.policies.network import Layer, write_with_layers
 from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
+from agents.training.fitting import BATCH, epoch, inputs_and_goals, layers_of
 from jackbox_env import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.planning.icem import Search
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import BATCH, epoch, inputs_and_goals, layers_of
 
 SCENE, CONTROL_DT = Scene(drive=None), 0.02
 COMMON: dict[str, Any] = {"repeat": 5, "num_threads": 1}

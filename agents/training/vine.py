@@ -28,12 +28,12 @@ from agents.policies.network import write_with_layers
 from agents.policies.value import INPUTS
 from agents.runs import SETTINGS
 from agents.settings import TrainSettings
+from agents.training.fitting import layers_of, mirrored
 from jackbox_env import Rollout, Scene, Task, rollout
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import TASKS, sample_start
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import layers_of, mirrored
 
 SCENE = Scene(drive=None)
 REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions

@@ -23,12 +23,12 @@ from tqdm import trange
 from agents.policies.network import SHIPPED, write_with_layers
 from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, uprighted
 from agents.policies.value import UNIT, Value, read_value
+from agents.training.fitting import epoch, inputs_and_goals, layers_of, network
 from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.model.landing import torques
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))

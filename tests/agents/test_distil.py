@@ -10,10 +10,10 @@ import torch
 
 from agents.policies.network import SHIPPED
 from agents.policies.value import read_value
+from agents.training import distil, vine
+from agents.training.fitting import layers_of, network
 from jackbox_env import rollout
 from jackbox_env.model.tasks import TASKS
-from scripts.studies import distil, vine
-from scripts.studies.fitting import layers_of, network
 
 
 def test_fitting_comes_closer() -> None:
