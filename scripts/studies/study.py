@@ -1,9 +1,9 @@
 """The runner of all studies: trials as a sweep, their results as one record, and a page filled from it.
 
-A study is a table of parts, by name, and the functions that turn a record into the numbers of its page. A part is a
-function of a trial: plain keywords in, plain JSON out. The record is ``docs/<study>.json``. For each part it has the
-result of its trial, or the list of results of several trials. Its entry ``made`` has, by part, what measured it.
-The page ``docs/<study>.md`` is the template ``scripts/studies/<study>/page.md``, filled from the record.
+A study is a table of parts, by name, and a function from its record to the numbers of its page. A part is a function of
+a trial: it receives plain keywords and returns plain JSON. The record, ``docs/<study>.json``, has for each part the
+result of its one trial, or the list of results of its trials. Its entry ``made`` names, by part, the machine and the
+versions. The page ``docs/<study>.md`` is the template ``scripts/studies/<study>/page.md``, filled from the record.
 """
 
 from __future__ import annotations

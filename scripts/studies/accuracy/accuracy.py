@@ -48,11 +48,14 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page."""
+    """The errors of each setting, then the costs of all."""
     few = arguments.quick
     cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)
     rounds = check.whole("rounds", (3 if few else 7) if arguments.rounds is None else arguments.rounds, at_least=1)
-    return these.trials(few, cases, rounds, check.real("seconds", arguments.seconds, above=0.0))
+    seconds = check.real("seconds", arguments.seconds, above=0.0)
+    names = dict.fromkeys(one.name for one in these.settings(few) + these.contenders(few) if one.make)
+    errors = [{"part": "errors", "name": name, "quick": few, "cases": cases} for name in names]
+    return [*errors, {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}]
 
 
 class Claim(NamedTuple):

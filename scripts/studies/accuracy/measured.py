@@ -24,7 +24,6 @@ from scripts import referee
 from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
 from scripts.studies.study import Record as Stored
-from scripts.studies.study import Trials
 from scripts.studies.timing import Timed, measure, ratios, repeat
 
 # -- cases -------------------------------------------------------------------------------------------------------------
@@ -267,13 +266,6 @@ class Results:
 
 
 # -- measuring ---------------------------------------------------------------------------------------------------------
-
-
-def trials(quick: bool, cases: int, rounds: int, seconds: float) -> Trials:
-    """The errors of each setting, then the costs of all."""
-    names = dict.fromkeys(one.name for one in settings(quick) + contenders(quick) if one.make)
-    errors = [{"part": "errors", "name": name, "quick": quick, "cases": cases} for name in names]
-    return [*errors, {"part": "costs", "quick": quick, "cases": cases, "rounds": rounds, "seconds": seconds}]
 
 
 def errors_of(name: str, quick: bool, cases: int) -> dict[str, Any]:
