@@ -23,9 +23,9 @@ ROUNDED := $(addprefix tests/,agents batches commands environment measuring stud
 # Those in which networks play and train, and derivatives.
 ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py \
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
-	measuring/test_fitting.py studies/test_distil.py)
+	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -48,12 +48,13 @@ test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(WORKERS) $(UNDER_OLD_GYMNASIUM)
 	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) --whole -m "slow or sweep"
 
+# Studies: --render writes a page from its stored results; an interrupted study prints how it continues.
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (about 2 minutes) only its run folder.
 benchmark: .venv/ready
-	@$(BIN)/python scripts/studies/accuracy/benchmark.py --out docs
+	@$(BIN)/python scripts/studies/accuracy/accuracy.py
 
 benchmark-quick: .venv/ready
-	@$(BIN)/python scripts/studies/accuracy/benchmark.py --quick --no-progress
+	@$(BIN)/python scripts/studies/accuracy/accuracy.py --quick --out None --no-progress
 
 # Single environments only, a minute: the README's table, and the part of docs/speed.md.
 throughput: .venv/ready
@@ -68,6 +69,10 @@ costs: .venv/ready
 # Uses of derivatives: iLQR, a periodic bounce, Lyapunov exponents; about a minute.
 derivatives: .venv/ready
 	@$(BIN)/python scripts/studies/derivatives/derivatives.py
+
+# 1,500 fits of recordings, docs/fitting.md.
+fitting: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python scripts/studies/fitting/fitting.py --workers 2
 
 # Each step of many motions proven by interval arithmetic, the table of docs/trust.md, a minute or two; quick: in small,
 # only printed.
@@ -114,13 +119,13 @@ interrupts: .venv/ready
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-# Returns of every policy, docs/results.md; resumes if interrupted. The planner takes most of its 15 minutes.
+# Returns of every policy, docs/results.md. The planner takes most of its 15 minutes.
 results: .venv/ready
 	@$(BIN)/python scripts/studies/results/results.py
 
 # Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 140 s of one core each.
 networks: .venv/ready
-	@$(BIN)/python scripts/studies/networks.py
+	@$(BIN)/python -m agents.training.networks
 
 # The site in docs/_build/html; the notebooks run, about two minutes. A warning, and so a broken link, is an error.
 docs: .venv/ready

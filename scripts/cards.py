@@ -21,10 +21,10 @@ ORIGINS = {  # what a network is, and how it was trained
     "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, {{lasting}}.
 PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}{{per}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{seconds:.0f}} s. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
     "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{action_repeat}} control steps of {{control_dt}} s each time.
-`scripts/studies/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
+`agents/training/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
     "juggle-distilled": """A network that evaluates a bounce. The policy predicts one bounce in closed form for many angles and rates of the box, and turns the box to the best.
-`scripts/studies/distil.py` starts from the planner's value and improves it on states that the policy itself visits.""",  # noqa: E501
-    "value": """A network that evaluates the last state of a plan. `planner` adds it to the plan's rewards, and the returns below are the planner's. `scripts/studies/value.py` fits it to what a longer search earns.""",  # noqa: E501
+`agents/training/distil.py` starts from the planner's value and improves it on states that the policy itself visits.""",  # noqa: E501
+    "value": """A network that evaluates the last state of a plan. `planner` adds it to the plan's rewards, and the returns below are the planner's. `agents/training/value.py` fits it to what a longer search earns.""",  # noqa: E501
 }
 METRIC = """  - task: {{type: reinforcement-learning, name: reinforcement-learning}}
     dataset: {{type: JackInBox-v0, name: "JackInBox-v0, {task}, {contact}"}}

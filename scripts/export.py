@@ -24,9 +24,9 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.PositionalRequiredArgs,))
-    from agents.evaluation.exporting import export_policy
     from agents.policies.network import WEIGHTS
     from agents.runs import read_settings
+    from agents.training.exporting import export_policy
     from jackbox_env.tools.files import new_folder
 
     folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))

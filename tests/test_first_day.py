@@ -14,7 +14,7 @@ import pytest
 from tests.test_package import blocks
 
 ROOT = Path(__file__).parents[1]
-cameras = pytest.importorskip("scripts.studies.cameras")
+camera = pytest.importorskip("scripts.studies.fitting.camera")
 pytest.importorskip("stable_baselines3")
 
 
@@ -35,10 +35,10 @@ def test_four_first_tries_succeed_without_a_traceback(tmp_path: Path) -> None:
         return python("-m", "jackbox_env", *command.split())
 
     # A camera's file gives the mass.
-    cameras.write_camera_file(tmp_path / "cam.csv", seconds=6.0)
-    fitted = python("-m", "jackbox_env", "fit", "cam.csv", *cameras.OPTIONS)
+    camera.write_camera_file(tmp_path / "cam.csv", seconds=6.0)
+    fitted = python("-m", "jackbox_env", "fit", "cam.csv", *camera.OPTIONS)
     low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.]+) to ([\d.]+)", fitted)[0])
-    assert low < cameras.TRUE["jack_mass"] < high
+    assert low < camera.TRUE["jack_mass"] < high
 
     # Another world becomes a CSV file and plots, and the fit of that file gives its gravity.
     jackbox("simulate --gravity 3.7 --torque none --state omega_jack=3,vx_jack=2 --folder mars")

@@ -5,7 +5,7 @@ computes one bounce on such a floor in closed form, and a network evaluates the 
 the best pair by a cubic in time that ends at the landing.
 
 The network is a value like the planner's (:mod:`agents.policies.value`), improved on states that this policy visits
-(``scripts/studies/distil.py``).
+(``agents/training/distil.py``).
 
 A folder of such a policy has
 

@@ -1,7 +1,7 @@
 """A learnt value: a good planner's return over the next seconds from a state, and a search that adds it to plans.
 
 A plan's rewards ignore what follows after its end. With the value of its last state a shorter plan does as well as a
-longer one. ``scripts/studies/value.py`` fits the value.
+longer one. ``agents/training/value.py`` fits the value.
 
 A folder of a value has
 

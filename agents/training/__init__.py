@@ -1,1 +1,1 @@
-"""PPO training in a run folder."""
+"""PPO training in a run folder, and the scripts that make the networks of agents/trained."""

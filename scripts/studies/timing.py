@@ -39,10 +39,10 @@ def repeat(
     return run
 
 
-def measure(timed: Mapping[str, Timed], rounds: int, progress: bool = True) -> Rates:
-    """Rates of all, run in turn, ``rounds`` times after a warm-up."""
+def measure(timed: Mapping[str, Timed], rounds: int) -> Rates:
+    """Rates of all, run in turn, ``rounds`` times after a warm-up; a terminal shows a progress bar."""
     rates: Rates = {name: [] for name in timed}
-    with tqdm(total=(rounds + 1) * len(timed), unit="measurement", disable=not progress, leave=False) as bar:
+    with tqdm(total=(rounds + 1) * len(timed), unit="measurement", disable=None, leave=False) as bar:
         for number in range(rounds + 1):
             for name, run in timed.items():
                 rate = run()

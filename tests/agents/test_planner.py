@@ -13,11 +13,11 @@ from agents.policies.planner import Planner
 from agents.policies.registry import find_policy
 from agents.policies.value import Value
 from agents.settings import EnvSettings
+from agents.training.fitting import mirrored
 from jackbox_env import Drive, Scene, Task, rollout
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.observation import observe, state_of
 from jackbox_env.planning.icem import coloured_noise
-from scripts.studies.fitting import mirrored
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 16}

@@ -20,7 +20,7 @@ from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.recording.trajectory import simulate, write_csv
 
 pytest.importorskip("scipy")
-cameras = pytest.importorskip("scripts.studies.cameras")
+camera = pytest.importorskip("scripts.studies.fitting.camera")
 
 TRUE = Scene(jack_mass=4.5, restitution=0.8)
 START = '{"restitution": 0.9}'
@@ -190,14 +190,14 @@ def test_the_documented_commands_converge(
     commands = re.findall(r"^jackbox (\w+) ([^#\n]*)", page, re.M)
     assert [name for name, _ in commands] == ["fit", "simulate", "fit"]
     monkeypatch.chdir(tmp_path)
-    cameras.write_camera_file(tmp_path / "cam.csv")
+    camera.write_camera_file(tmp_path / "cam.csv")
     for name, options in commands:
         monkeypatch.setattr(sys, "argv", [f"jackbox {name}", *shlex.split(options)])
         {"simulate": simulating, "fit": fit}[name].main()
     out, err = capsys.readouterr()
     assert out.count("Converged: the search ended") == 2
     low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.]+) to ([\d.]+)", out)[0])
-    assert low < cameras.TRUE["jack_mass"] < high < low + 0.05
+    assert low < camera.TRUE["jack_mass"] < high < low + 0.05
     assert re.search(r"^cam\.csv: \d+ of \d+ frames are missing, and left open\.$", err, re.M)
     assert "fitting" in err  # the bar
     assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1

@@ -1,7 +1,8 @@
-"""The results of a sweep: statistics, claims, page, and the table in README and the docstring."""
+"""The results of a sweep: statistics, claims, the page's table."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import shutil
 import sys
@@ -13,15 +14,15 @@ import pytest
 
 from jackbox_env import FIDELITIES
 from scripts import referee
-from scripts.studies.accuracy import benchmark, measured
+from scripts.studies import study
+from scripts.studies.accuracy import accuracy, measured
 
-ROOT = Path(__file__).parents[2]
-STORED = ROOT / "docs" / benchmark.BESIDE
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
 def stored() -> measured.Results:
-    return measured.Results.load(STORED)
+    return measured.Results.of_record(accuracy.STUDY.read(DOCS))
 
 
 # -- statistics --------------------------------------------------------------------------------------------------------
@@ -52,7 +53,7 @@ def test_a_planted_order_of_convergence_is_estimated_within_its_interval(order: 
 
 
 def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(stored: measured.Results) -> None:
-    assert [claim.what for claim in benchmark.claims(stored) if not claim.holds] == []
+    assert [claim.what for claim in accuracy.claims(stored) if not claim.holds] == []
     exact, coarse, proven, seeds = measured.EXACT, measured.pymunk(2).name, measured.REFERENCE, measured.ALL
     breakages: list[tuple[str, str, str, dict[str, Any]]] = [
         (exact, proven, "first_1", {"worst": 1e-10}),
@@ -72,25 +73,25 @@ def test_claims_hold_in_the_stored_results_and_each_fails_where_it_is_broken(sto
     for *key, change in breakages:
         rows = dict(stored.rows)
         rows[key[0], key[1], key[2]] = rows[key[0], key[1], key[2]]._replace(**change)
-        failed = [claim.what for claim in benchmark.claims(measured.Results(rows.values(), {})) if not claim.holds]
+        failed = [claim.what for claim in accuracy.claims(measured.Results(rows.values())) if not claim.holds]
         assert len(failed) == 1
         broken.update(failed)
-    assert broken == {claim.what for claim in benchmark.claims(stored)}
+    assert broken == {claim.what for claim in accuracy.claims(stored)}
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_written_again_from_the_stored_results(
-    stored: measured.Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_command_writes_the_page_again_from_the_stored_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / benchmark.BESIDE).mkdir()
-    for name in (measured.TABLE, measured.ABOUT):
-        shutil.copy(STORED / name, tmp_path / benchmark.BESIDE)
-    monkeypatch.setattr(sys, "argv", ["benchmark.py", "--page-from", str(tmp_path / benchmark.BESIDE / measured.ABOUT)])
-    benchmark.main()
-    again = "python scripts/studies/accuracy/benchmark.py --page-from docs/accuracy/results.json"
-    assert (tmp_path / benchmark.PAGE).read_text() == (ROOT / "docs" / benchmark.PAGE).read_text(), again
+    shutil.copy(DOCS / "accuracy.json", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["accuracy.py", "--render", "--out", str(tmp_path)])
+    study.main(accuracy.STUDY, "")
+    assert (tmp_path / "accuracy.md").read_text() == (DOCS / "accuracy.md").read_text()
+    assert "ring-0" in (tmp_path / "accuracy" / "work_precision.svg").read_text()
+    assert (tmp_path / "accuracy" / "impacts.png").stat().st_size > 10_000
+    assert capsys.readouterr().out.count("\nholds: ") == 8
 
 
 # -- the sweep ---------------------------------------------------------------------------------------------------------
@@ -120,9 +121,8 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
     monkeypatch.setattr(referee, "reference", lambda: few)
     monkeypatch.setattr(measured, "STEPS", 150)
     monkeypatch.setattr(measured, "TOGETHER", 2)
-    for name in ("draw", "draw_impacts"):  # the test above draws
-        monkeypatch.setattr(benchmark, name, lambda *arguments: None)
-    monkeypatch.setattr(benchmark, "claims", lambda records: [])  # cases are too short for some
+
+    monkeypatch.setattr(accuracy, "claims", lambda results: [])  # cases are too short for some
 
     def counted(*arguments: Any) -> Any:
         cases.append(arguments[0].name)
@@ -131,19 +131,19 @@ def test_an_interrupted_sweep_continues_to_the_results_of_an_uninterrupted_one(
         return one_case(*arguments)
 
     def run(folder: Path) -> measured.Results:
-        monkeypatch.setattr(sys, "argv", ["benchmark.py", *FEW, "--runs", str(folder)])
-        benchmark.main()
-        return measured.Results.load(folder / benchmark.BESIDE)
+        monkeypatch.setattr(sys, "argv", ["accuracy.py", *FEW, "--runs", str(folder), "--out", "None"])
+        study.main(dataclasses.replace(accuracy.STUDY, draw=lambda record, folder: None), "")
+        return measured.Results.of_record(accuracy.STUDY.read(folder))
 
     monkeypatch.setattr(measured, "measured", counted)
     with pytest.raises(SystemExit) as stopped:
         run(tmp_path / "cut")
     assert stopped.value.code == 130
     cut = run(tmp_path / "cut")
-    assert len(cases) == 20 + 3 * 6 * 2 - 2 * 9  # the tenth trial is lost
+    assert len(cases) == 20 + 36 - 18  # of six settings; the fourth trial is lost
     whole = run(tmp_path / "whole")
     assert len(whole.rows) > 300
     for key, row in whole.rows.items():
         if not row.quantity.startswith("cost"):
             assert repr(cut.rows[key]) == repr(row)  # NaN equals NaN
-    assert benchmark.fidelity_table(whole) in (tmp_path / "whole" / benchmark.PAGE).read_text()
+    assert accuracy.fidelity_table(whole) in (tmp_path / "whole" / "accuracy.md").read_text()

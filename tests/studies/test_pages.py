@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,36 +15,39 @@ from matplotlib.text import Text
 
 from jackbox_env import Scene, make_simulator
 from scripts.studies import timing
+from scripts.studies.accuracy import accuracy
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.derivatives import derivatives
+from scripts.studies.fitting import fitting
 from scripts.studies.results import results
 from scripts.studies.speed import measured, speed
+from scripts.studies.study import as_text
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
+STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, derivatives, fitting, results, speed)}
+
+
 def stored(name: str) -> Any:
-    return json.loads((DOCS / f"{name}.json").read_text())
+    return STUDIES[name].read(DOCS)
 
 
-PAGES: dict[str, Callable[[], str]] = {
-    "speed": lambda: speed.page(stored("speed")),
-    "costs": lambda: costs.page(stored("costs")),
-    "results": lambda: results.page(stored("results")),
-    "derivatives": lambda: derivatives.page(stored("derivatives")),
-}
-
-
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_a_page_shows_the_stored_numbers(name: str) -> None:
-    assert PAGES[name]() == (DOCS / f"{name}.md").read_text()
+    assert STUDIES[name].page(stored(name)) == (DOCS / f"{name}.md").read_text(), f"scripts/studies/{name}/ --render"
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_record_is_stored_as_it_is_written(name: str) -> None:
+    assert as_text(stored(name)) == (DOCS / f"{name}.json").read_text()
 
 
 def test_other_numbers_would_make_another_page() -> None:
     data = stored("results")
     data["rows"][0]["mean"] += 50.0
-    assert results.page(data) != (DOCS / "results.md").read_text()
+    assert STUDIES["results"].page(data) != (DOCS / "results.md").read_text()
 
 
 @pytest.mark.parametrize("part", derivatives.PICTURED)
@@ -66,8 +67,7 @@ def test_the_picture_of_returns_has_the_upper_bounds_and_no_label_on_another(
         save(figure, *arguments, **settings)
 
     monkeypatch.setattr(Figure, "savefig", saved)
-    data = stored("results")
-    results.draw(data["rows"], data["learning"], data["spin_bound"], tmp_path / "results.png")
+    results.draw(stored("results"), tmp_path)
     labels = [[text for text in axes.texts if text.get_text()] for axes in drawn[0].axes]
     bounds = [[text.get_text() for text in of if "upper bound" in text.get_text()] for of in labels]
     assert bounds == [["upper bound 347"], ["upper bound 450"], []]  # rattle's is off the scale

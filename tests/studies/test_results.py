@@ -19,7 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_a_row_has_the_results_of_evaluate() -> None:
-    row = measured.policy_row(Path(), "spin", "exact", "zero", 8)
+    row = measured.policy_row("", "spin", "exact", "zero", 8)
     settings = EnvSettings(task="spin", contact="exact")
     zero = find_policy("zero", settings, measured.SEED)
     evaluated = evaluate("zero", zero, settings.env_settings, 8, measured.SEED)

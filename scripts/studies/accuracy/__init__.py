@@ -1,1 +1,1 @@
-"""Speed against accuracy: every contact model and setting on the same cases; ``benchmark.py`` is the command."""
+"""Speed against accuracy: every contact model and setting on the same cases; ``accuracy.py`` is the command."""

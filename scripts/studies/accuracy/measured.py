@@ -1,36 +1,30 @@
 """The measurements of docs/accuracy.md: cases, settings, and the errors and costs of each setting on each case.
 
-Errors are trials of a sweep, so that an interrupted run resumes. Costs are measured afterwards, in this process.
+The errors of a setting are a trial. The costs of all are one, measured in interleaved rounds.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable, Iterable
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from agents.files import read_json
-from agents.runs import PACKAGES, machine, versions
-from agents.sweep import Runner
 from jackbox_env import Scene, make_simulator, rollout
 from jackbox_env.measure.accuracy import Case, between, follow
 from jackbox_env.model.states import OMEGA_BOX, Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import Simulator
 from jackbox_env.simulators.fidelity import FIDELITIES
-from jackbox_env.tools.files import replacing, write_json
 from scripts import referee
 from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
-from scripts.studies.sweeping import swept
-from scripts.studies.timing import Timed, core_seconds, measure, ratios, repeat
+from scripts.studies.study import Record as Stored
+from scripts.studies.timing import Timed, measure, ratios, repeat
 
 # -- cases -------------------------------------------------------------------------------------------------------------
 
@@ -131,7 +125,6 @@ DEFAULT = of_fidelity("balanced")
 ALL = "all seeds"
 PREDICTABLE = 11  # impacts of a case that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
-TABLE, ABOUT = "results.csv", "results.json"
 
 Record = dict[str, Any]  # of one setting on one case
 
@@ -207,30 +200,26 @@ class Row(NamedTuple):
 
 def summed_up(values: Iterable[float], summed: str = SPREAD) -> dict[str, Any]:
     """The summary of some values as fields of a row; NaN is left out."""
-    known = np.array([value for value in values if not math.isnan(value)])
+    known = np.array([value for value in values if not math.isnan(value)], dtype=np.float64)
     n = len(known)
     if summed == TOTAL or n == 0:
-        return {"n": n} | ({"total": known.sum()} if summed == TOTAL else {})
+        return {"n": n} | ({"total": float(known.sum())} if summed == TOTAL else {})
     if summed == MEAN:
         half_width = stats.t.ppf(0.975, n - 1) * stats.sem(known) if n > 1 else math.inf
         return {"n": n, "mean": known.mean(), "half_width": half_width}
     return {"n": n, "median": np.median(known), "worst": known.min() if summed == LEAST else known.max()}
 
 
-def rows_of(setting: Setting, records: list[Record], cost: list[float], over_default: list[float]) -> list[Row]:
-    """A setting's costs, and every quantity over each kind of cases and over all seeded ones, of what there is."""
-    head = setting[:3]
-    costs = {("cost", "us/s"): cost, ("cost_over_default", "1"): over_default}
-    rows = [Row(*head, "", *names, **summed_up(values)) for names, values in costs.items() if values]
-
+def summaries(records: list[Record]) -> list[dict[str, Any]]:
+    """Every quantity over each kind of cases and over all seeded ones, of what there is: rows without their setting."""
     parts: dict[str, list[Record]] = {}
     for record in records:
         for kind in (record["kind"], *([ALL] if record["kind"] in KINDS else [])):
             parts.setdefault(kind, []).append(record)
-    return rows + [
-        Row(*head, kind, quantity.name, quantity.unit, **summed_up(quantity.values(part), quantity.summed))
+    return [
+        {"kind": kind, "quantity": one.name, "unit": one.unit, **summed_up(one.values(part), one.summed)}
         for kind, part in parts.items()
-        for quantity in (REFEREED if kind == REFERENCE else QUANTITIES)
+        for one in (REFEREED if kind == REFERENCE else QUANTITIES)
     ]
 
 
@@ -242,12 +231,11 @@ def order_of(steps: list[float], errors: list[float]) -> tuple[float, float, flo
 
 
 class Results:
-    """The summary of a sweep: rows, and what they were measured with."""
+    """The summary of a sweep: rows, by setting, kind and quantity."""
 
-    def __init__(self, rows: Iterable[Row], about: dict[str, Any]) -> None:
-        """Index the rows by setting, kind and quantity."""
+    def __init__(self, rows: Iterable[Row]) -> None:
+        """Index the rows."""
         self.rows = {(row.setting, row.kind, row.quantity): row for row in rows}
-        self.about = about
         self.settings = [name for name, kind, quantity in self.rows if (kind, quantity) == ("", "cost")]
 
     def of(self, setting: str, quantity: str, kind: str | None = None) -> Row:
@@ -270,69 +258,42 @@ class Results:
         rows = [row for row in self.rows.values() if (row.family, row.kind, row.quantity) == (PYMUNK, ALL, quantity)]
         return order_of([DT / (row.substeps or 1) for row in rows], [row.median for row in rows])
 
-    def save(self, folder: Path) -> None:
-        """Write both files."""
-        with replacing(folder / TABLE) as partial, partial.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(Row._fields)
-            for row in self.rows.values():
-                numbers = ("" if math.isnan(number) else f"{number:.6g}" for number in row[7:])
-                writer.writerow([*row[:7], *numbers])
-        write_json(folder / ABOUT, self.about)
-
     @classmethod
-    def load(cls, folder: Path) -> Results:
-        """Read what :meth:`save` wrote."""
-        with (folder / TABLE).open(newline="") as file:
-            _, *lines = csv.reader(file)
-        return cls(map(_row, lines), read_json(folder / ABOUT))
-
-
-def _row(line: list[str]) -> Row:
-    setting, family, substeps, kind, quantity, unit, n, *numbers = line
-    values = [float(number or "nan") for number in numbers]
-    return Row(setting, family, int(substeps) if substeps else None, kind, quantity, unit, int(n), *values)
+    def of_record(cls, record: Stored) -> Results:
+        """The rows of a stored record."""
+        groups = [*record["costs"]["settings"], *record["errors"]]
+        return cls(Row(*of["setting"], **row) for of in groups for row in of["rows"])
 
 
 # -- measuring ---------------------------------------------------------------------------------------------------------
 
 
-def run(folder: Path, quick: bool, count: int, rounds: int, seconds: float, bars: bool, runner: Runner) -> Results:
-    """Sweep, or resume an interrupted sweep of the same code in ``folder``."""
-    before, chosen, played = core_seconds(), settings(quick), contenders(quick)
-    trials = [
-        {"setting": setting.name, "kind": kind, "count": count}
-        for kind in (REFERENCE, *KINDS)
-        for setting in (played if kind == REFERENCE else chosen)
-        if setting.make
-    ]
-    finished = swept(folder, trials, _measured_kind, runner, bars)
-    rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds, bars)
-    rows = list[Row]()
-    for setting in dict.fromkeys(chosen + played):
-        records = [record for trial in finished if trial["setting"] == setting.name for record in trial["records"]]
-        timed = setting.name in rates
-        costs = (
-            ([1e6 / rate for rate in rates[setting.name]], ratios(rates, DEFAULT, setting.name)) if timed else ([], [])
-        )
-        rows += rows_of(setting, records, *costs)
-    busy, total = core_seconds()
-    about = {
-        "quick": quick, "cases": count, "rounds": rounds, "seconds": seconds, "machine": machine(),
-        "versions": versions((*PACKAGES[:-1], "numba", "mujoco", "box2d")),
-        "busy": round(max(0.0, busy - before[0]) / max(total - before[1], 1e-9), 2), "missing": baselines.missing(),
-    }  # fmt: skip
-    return Results(rows, about)
+def errors_of(name: str, quick: bool, cases: int) -> dict[str, Any]:
+    """All errors of a setting: on the seeded cases, and on the proven ones if it plays these."""
+    (setting,) = {one.name: one for one in settings(quick) + contenders(quick) if one.name == name}.values()
+    records, proven = list[Record](), list(referee.reference().values())
+    if name in [one.name for one in contenders(quick)]:
+        elastic_only = setting.family == "mujoco"
+        records += [refereed(setting, known) for known in proven if known[0].scene.elastic or not elastic_only]
+    if name in [one.name for one in settings(quick)]:
+        records += [measured(setting, kind, *case) for kind in KINDS for case in _references(kind, cases)]
+    return {"setting": setting[:3], "rows": summaries(records)}
 
 
-def _measured_kind(trial: dict[str, Any]) -> dict[str, Any]:
-    """All errors of one setting on the cases of a kind."""
-    everyone = {setting.name: setting for setting in settings(quick=False) + contenders(quick=False)}
-    setting, kind = everyone[trial["setting"]], trial["kind"]
-    if kind == REFERENCE:
-        cases = [one for one in referee.reference().values() if one[0].scene.elastic or setting.family != "mujoco"]
-        return {"records": [refereed(setting, known) for known in cases]}
-    return {"records": [measured(setting, kind, *case) for case in _references(kind, trial["count"])]}
+def costs_of(quick: bool, cases: int, rounds: int, seconds: float) -> dict[str, Any]:
+    """The costs of all settings, and what the page says of the study."""
+    chosen = settings(quick)
+    rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds)
+    groups = []
+    for setting in chosen:
+        values = {
+            ("cost", "us/s"): [1e6 / rate for rate in rates[setting.name]],
+            ("cost_over_default", "1"): ratios(rates, DEFAULT, setting.name),
+        }
+        rows = [{"kind": "", "quantity": name, "unit": unit, **summed_up(of)} for (name, unit), of in values.items()]
+        groups.append({"setting": setting[:3], "rows": rows})
+    about = {"cases": cases, "rounds": rounds, "seconds": seconds, "missing": baselines.missing()}
+    return {"settings": groups, "about": about}
 
 
 @cache

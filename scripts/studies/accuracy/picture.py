@@ -1,4 +1,4 @@
-"""The pictures of docs/accuracy.md: time errors against cost, and of each impact. ``benchmark.py`` draws them."""
+"""The pictures of docs/accuracy.md: time errors against cost, and of each impact. ``accuracy.py`` draws them."""
 
 from __future__ import annotations
 

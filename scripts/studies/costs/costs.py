@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from jackbox_env.tools.command_line import command_line
-from scripts.studies import timing
+from scripts.studies import study, timing
 from scripts.studies.costs import measured as these
 from scripts.studies.pages import figure, rounded, table
 from scripts.studies.timing import Rates
 
-PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba")
 PASSES = 9  # through everything, in a round
 DERIVED = "with derivatives"
 MODELS = PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
@@ -42,17 +38,13 @@ Figures = dict[str, dict[str, list[float]]]  # by thing and model: ns in each ro
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(study.TimedArguments):
     """Measure in interleaved rounds; every figure is the median over the rounds."""
 
     rounds: int = 7
     """Rounds; each measures everything nine times in turn, and a figure is their median."""
     seconds: float = 0.03
     """Time per measurement [s], or once through the moments."""
-    out: Path = Path("docs")
-    """Folder of the page costs.md and its results costs.json."""
-    render: bool = False
-    """Measure nothing: write the page from the results that are stored."""
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
@@ -60,7 +52,7 @@ class Arguments:
 
 def measured(rounds: int, seconds: float) -> dict[str, Any]:
     """All figures of the page."""
-    before = timing.core_seconds()
+    timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
     usual, far = these.moments(these.FEW, 4), these.moments(these.FEW, 4, these.LONG)
     many, many_far = these.moments(these.TOGETHER, 40), these.moments(these.TOGETHER, 40, these.LONG)
     lossy = {kind: these.with_loss(kind) for kind in these.LOSS}
@@ -79,8 +71,7 @@ def measured(rounds: int, seconds: float) -> dict[str, Any]:
     results = figures(timing.measure(timed, rounds * PASSES), PASSES)
     results["loss"]["impacts"] = {kind: float(moments.hits.mean()) for kind, moments in lossy.items()}
     impacts = {"usual": float(usual.hits.mean()), "long arm": float(far.hits.mean())}
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {PASSES} passes. {timing.busy_since(before)}"
-    return {**results, "impacts": impacts, "made": made}
+    return {**results, "impacts": impacts}
 
 
 def in_rounds(rates: Rates, passes: int, weights: Mapping[str, float]) -> list[float]:
@@ -123,8 +114,9 @@ def cell(values: Sequence[float] | None, plain: float) -> str:
     return f"{'+' if middle > 0.0 else ''}{figure(middle)} ns ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
 
 
-def page(results: Mapping[str, Any]) -> str:
-    """docs/costs.md."""
+def filled(record: study.Record) -> dict[str, Any]:
+    """The numbers of docs/costs.md."""
+    results = record["costs"]
     plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
     frame, function = (rounded(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
@@ -139,7 +131,7 @@ def page(results: Mapping[str, Any]) -> str:
         [what, *(cell(costs.get(m), plain[m]) for m in MODELS)] for what, costs in single.items() if what not in small
     ]
     only = [[what, cell(costs[BATCH], plain[BATCH])] for what, costs in on_top.items() if set(costs) == {BATCH}]
-    fields = {
+    return {
         "plain": {model: rounded(value) for model, value in plain.items()},
         "frame": frame,
         "function": function,
@@ -153,10 +145,7 @@ def page(results: Mapping[str, Any]) -> str:
         "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
         "held": f"{math.floor(min(resting))} to {math.ceil(max(resting))}",
         "loss": _loss_table(steps, results["loss"]["impacts"]),
-        "loss_made": f"\n\n{results['loss']['made']}" if "made" in results["loss"] else "",
-        "made": results["made"],
     }
-    return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
 def _plain(results: Mapping[str, Any]) -> dict[str, float]:
@@ -176,26 +165,14 @@ def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
     return table(heads, rows)
 
 
-@command_line
-def main() -> None:
-    """Parse, measure, write, print."""
-    import tyro
-
-    from jackbox_env.tools import checks as check
-    from jackbox_env.tools.files import check_writable, write_json, write_text
-
-    arguments = tyro.cli(Arguments, description=__doc__)
-    rounds = check.whole("rounds", arguments.rounds, at_least=1)
-    seconds = check.real("seconds", arguments.seconds, above=0.0)
-    check_writable(arguments.out)
-    path = arguments.out / "costs.json"
-    if not arguments.render:
-        timing.on_cores({max(os.sched_getaffinity(0))} if timing.PINNED else ())
-        write_json(path, measured(rounds, seconds))
-    results = json.loads(path.read_text())
-    write_text(arguments.out / "costs.md", page(results))
-    print(page(results))
-
+STUDY = study.Study(
+    "costs",
+    {"costs": measured},
+    filled,
+    Arguments,
+    alone=frozenset({"costs"}),
+    packages=("jackbox", "gymnasium", "numpy", "pymunk", "numba"),
+)
 
 if __name__ == "__main__":
-    main()
+    study.main(STUDY, __doc__)

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from jackbox_env.tools.command_line import command_line
-from scripts.studies import timing
+from scripts.studies import study
 from scripts.studies.derivatives import bounce, gradients, ilqr, lyapunov
 from scripts.studies.pages import figure, table
 
-PACKAGES = ("jackbox", "numpy", "numba", "torch")
-Part = Literal["ilqr", "bounce", "lyapunov", "gradients"]
 PICTURED = {"ilqr": ilqr, "bounce": bounce, "lyapunov": lyapunov}
-MEASURES = {name: part.measure for name, part in PICTURED.items()} | {"gradients": gradients.measure}
 PLANS = {"level": "PD controller", "planner": "planner's iCEM, 3 iterations", "longer": "iCEM, 50 iterations"}
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """Measure everything, and write the page."""
-
-    parts: tuple[Part, ...] = ("ilqr", "bounce", "lyapunov", "gradients")
-    """Parts of the page to measure; the others stay as stored. None: only write the page from stored results."""
-    out: Path = Path("docs")
-    """Folder of the page derivatives.md, its results derivatives.json and the folder of its pictures, derivatives."""
 
 
 def spread(estimate: Mapping[str, float], digits: int = 1) -> str:
@@ -36,21 +20,19 @@ def spread(estimate: Mapping[str, float], digits: int = 1) -> str:
     return f"{estimate['mean']:.{digits}f} ± {estimate['half_width']:.{digits}f}"
 
 
-def page(results: Mapping[str, Any]) -> str:
-    """docs/derivatives.md."""
+def filled(results: study.Record) -> dict[str, Any]:
+    """The numbers of docs/derivatives.md."""
     rows = [
         [f"{row['horizon']:g} s", *(_norm(row[name]) for name in ("median", "low", "high"))]
         for row in results["gradients"]
     ]
-    fields = {
+    return {
         "rows": gradients.ROWS,
         "gradients": table(("horizon", "median", "5 %", "95 %"), rows),
         "ilqr": _ilqr(results["ilqr"]),
         "bounce": _bounce(results["bounce"]),
         "lyapunov": _lyapunov(results["lyapunov"]),
-        "made": "\n".join(f"- `{part}`: {text}" for part, text in results["made"].items()),
     }
-    return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
 def _norm(value: float) -> str:
@@ -109,32 +91,29 @@ def _lyapunov(results: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-@command_line
-def main() -> None:
-    """Parse, measure, draw, write."""
-    import tyro
-
-    from jackbox_env.tools.files import check_writable, write_json, write_text
-
-    arguments = tyro.cli(Arguments, description=__doc__)
-    pictures, path = arguments.out / "derivatives", arguments.out / "derivatives.json"
-    check_writable(arguments.out)
-    results: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"made": {}}
-    missing = [name for name in MEASURES if name not in {*arguments.parts, *results}]
-    if missing:
-        raise ValueError(f"parts must name {' and '.join(missing)} too: {path} has no such results yet")
-    for measured in arguments.parts:
-        before = timing.core_seconds()
-        results[measured] = MEASURES[measured]()
-        results["made"][measured] = f"{timing.measured_with(PACKAGES)}. {timing.busy_since(before)}"
-        write_json(path, results)
+def draw(results: study.Record, folder: Path) -> None:
+    """Draw the picture of each part that has one."""
+    pictures = folder / "derivatives"
     pictures.mkdir(exist_ok=True)
     for name, part in PICTURED.items():
         (pictures / f"{name}.png").unlink(missing_ok=True)
         part.draw(results[name], pictures / f"{name}.png")
-    write_text(arguments.out / "derivatives.md", page(results))
-    print(f"Written: {arguments.out / 'derivatives.md'}")
 
+
+MEASURES = {
+    "ilqr": ilqr.measure,
+    "bounce": bounce.measure,
+    "lyapunov": lyapunov.measure,
+    "gradients": gradients.measure,
+}
+STUDY = study.Study(
+    "derivatives",
+    MEASURES,
+    filled,
+    alone=frozenset(MEASURES),
+    packages=("jackbox", "numpy", "numba", "torch"),
+    draw=draw,
+)
 
 if __name__ == "__main__":
-    main()
+    study.main(STUDY, __doc__)

@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from tqdm import trange
 
 from agents.policies.scripted import LevelPolicy
-from jackbox_env import Scene, ilqr, rollout
+from agents.training.fitting import CONTROL_DT as DT
+from agents.training.fitting import REPEAT, SCENE, advanced
+from jackbox_env import ilqr
 from jackbox_env.commands.plots import GREY, JACK, write_figure
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.states import Array
@@ -24,17 +26,9 @@ from jackbox_env.planning.icem import Search
 from jackbox_env.planning.ilqr import MOST_ITERATIONS
 from scripts.studies.derivatives.lyapunov import with_interval
 
-SCENE = Scene(drive=None)
-DT, REPEAT, KNOTS, PROBLEMS = 0.02, 5, 32, 32  # control step [s]; action repeat; torques; starts
+KNOTS, PROBLEMS = 32, 32  # torques; starts
 # Iterations of iCEM; the longer one needs as much time as the planner's and iLQR after it.
 ITERATIONS = {"level": 0, "planner": 3, "longer": 50}
-
-
-def advanced(states: Array, torques: Array) -> tuple[Array, Array]:
-    """States after one torque each, shape (n, 12), and the sums of rewards, (n,); torques in units of the limit."""
-    constant = torques[:, None] * SCENE.torque_limit
-    played = rollout(SCENE, states, constant, DT, rewards="juggle", repeat=REPEAT, trajectories=False, num_threads=1)
-    return played.trajectories[:, 1], played.rewards.sum(axis=1)
 
 
 def level(start: Array) -> Array:
@@ -42,7 +36,7 @@ def level(start: Array) -> Array:
     policy, now, torques = LevelPolicy(SCENE), start[None], np.zeros((KNOTS, 1))
     for torque in torques:
         torque[:] = policy.act(observed(SCENE, now))[0]
-        now, _ = advanced(now, torque)
+        now = advanced("juggle", now, torque)[0]
     return torques[:, 0]
 
 

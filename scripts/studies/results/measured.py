@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,13 +17,14 @@ from scipy.stats import bootstrap, trim_mean
 
 from agents.evaluation.returns import Returns, evaluate
 from agents.files import read_json
-from agents.policies.network import SHIPPED, TRAINED
+from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EPISODE_STEPS, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
 from agents.training.models import derived_seed
+from agents.training.networks import run_of
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
@@ -32,8 +32,8 @@ from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 SEED = 1  # decides the starts
 RESAMPLES = 2000
 CONTACTS = ("exact", "pymunk")
-POLICIES = ("zero", "level", "chirp", "best chirp", "ppo", "distilled", "planner-fast", "planner")
 BARE = "bare ppo"  # PPO on the environment as it is: ten numbers, a torque in each control step
+POLICIES = ("zero", "level", "chirp", "best chirp", BARE, "ppo", "distilled", "planner-fast", "planner")
 TIMED = 0.1  # [s] of an episode that computing times refer to
 
 # Chirps that are tried: amplitudes over the torque's limit, Hz, Hz/s; and starts of each, not the evaluation's.
@@ -52,45 +52,16 @@ RANGES = {"jack_mass": [MASSES[0], MASSES[-1]], "restitution": [RESTITUTIONS[-1]
 VARIED = TrainSettings(randomize=json.dumps(RANGES))
 
 
-def trials(episodes: int, planner_episodes: int, across_episodes: int, training_episodes: int) -> list[dict[str, Any]]:
-    """All trials of the page."""
-    trials: list[dict[str, Any]] = []
-    for seed, task in product(SEEDS, TRAINED):
-        trials.append({"part": "learning", "task": task, "seed": seed, "episodes": training_episodes})
-    for task, seed in product(TRAINED, SEEDS):
-        trials.append({"part": "bare", "task": task, "seed": seed, "episodes": episodes})
-    for task, contact, policy in product(TRAINED, CONTACTS, POLICIES):
-        count = planner_episodes if policy == "planner" else episodes
-        trials.append({"part": "rows", "task": task, "contact": contact, "policy": policy, "episodes": count})
-    for restitution, mass, policy in product(RESTITUTIONS, MASSES, ("level", "one scene", "varied scenes")):
-        scene = {"restitution": restitution, "jack_mass": mass}
-        trials.append({"part": "across", "scene": scene, "policy": policy, "episodes": across_episodes})
-    return trials
-
-
-def measured(folder: Path, trial: dict[str, Any]) -> dict[str, Any]:
-    """The work of a trial; trainings have their run folders in ``folder``."""
-    parts: dict[str, Callable[..., dict[str, Any]]]
-    parts = {"learning": learning, "bare": bare, "rows": policy_row, "across": in_scene}
-    arguments = {name: value for name, value in trial.items() if name != "part"}
-    return {"row": parts[trial["part"]](folder, **arguments)}
-
-
 def _evaluated(name: str, acting: PolicyWithEnv, env_settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     """The stored figures of an evaluation."""
     row = evaluate(name, acting, env_settings, episodes, SEED).as_json()
     return {key: value for key, value in row.items() if key != "returns"}
 
 
-def run_of(folder: Path, task: str, seed: int) -> Path:
-    """Run folder of a training by the settings of the shipped network, which is that of seed 0."""
-    return folder / f"{task}-{seed}"
-
-
-def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
+def learning(runs: str, task: str, seed: int, episodes: int) -> dict[str, Any]:
     """Returns of a training, while it learns and at its end."""
     settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
-    run = run_of(folder, task, seed)
+    run = run_of(Path(runs), task, seed)
     trained_in(run, settings, progress=False)
     curve, seconds = read_evaluations(run, settings.eval_episodes), read_json(run / TIME)["seconds"]
     return {
@@ -104,57 +75,43 @@ def learning(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any
     }
 
 
-def bare(folder: Path, task: str, seed: int, episodes: int) -> dict[str, Any]:
-    """Mean returns of a training on the environment as it is, on each contact model, and its computing time."""
-    settings = TrainSettings.suited(
-        task=task, observation="state", action="torque", action_repeat=1, total_steps=BARE_STEPS, seed=seed
-    )
-    run = folder / f"bare-{task}-{seed}"
-    trained_in(run, settings, progress=False)
-    acting = find_policy(str(run), settings)
-    means = {
-        contact: _evaluated(BARE, acting, EnvSettings(task=task, contact=contact).env_settings, episodes)["mean"]
-        for contact in CONTACTS
-    }
-    spent = milliseconds(acting, EnvSettings(task=task, contact="exact"))
-    return {
-        "task": task, "means": means, "milliseconds": spent, "commit": versions()["commit"], "machine": machine(),
-    }  # fmt: skip
+def trained_once(run: Path, settings: TrainSettings) -> Path:
+    """The run folder of a finished training; of several workers one trains, and the others wait for it."""
+    with FileLock(run.with_suffix(".lock")):
+        trained_in(run, settings, progress=False)
+    return run
 
 
-def with_bare(rows: list[dict[str, Any]], trained: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of policies with one more for each task and contact model: the mean of the trainings of :func:`bare`, with
-    Student's interval, before PPO's."""
-    complete = []
-    for row in rows:
-        if row["policy"] == "ppo":
-            runs = [run for run in trained if run["task"] == row["task"]]
-            returns = Returns(BARE, tuple(run["means"][row["contact"]] for run in runs))
-            spent = float(np.mean([run["milliseconds"] for run in runs]))
-            complete.append(
-                {**row, "policy": BARE, "mean": returns.mean, "interval_95": returns.interval}
-                | {"milliseconds": spent, "episodes": row["episodes"] * len(runs)}
-            )
-        complete.append(row)
-    return complete
+def bare(runs: str, env: EnvSettings, episodes: int) -> dict[str, Any]:
+    """The mean of five trainings on the environment as it is, with Student's interval, and their computing time."""
+    means, spent = [], []
+    for seed in SEEDS:
+        settings = TrainSettings.suited(
+            task=env.task, observation="state", action="torque", action_repeat=1, total_steps=BARE_STEPS, seed=seed
+        )
+        acting = find_policy(str(trained_once(Path(runs) / f"bare-{env.task}-{seed}", settings)), settings)
+        means.append(_evaluated(BARE, acting, env.env_settings, episodes)["mean"])
+        spent.append(milliseconds(acting, env))
+    returns = Returns(BARE, tuple(means))
+    figures = {"policy": BARE, "mean": returns.mean, "interval_95": returns.interval, "episodes": episodes * len(SEEDS)}
+    return figures | {"milliseconds": float(np.mean(spent)), "drive": None}
 
 
-def policy_row(folder: Path, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
+def policy_row(runs: str, task: str, contact: str, policy: str, episodes: int) -> dict[str, Any]:
     """Returns of a policy on a task, and its computing time."""
     settings = EnvSettings(task=task, contact=contact)
+    figures = bare(runs, settings, episodes) if policy == BARE else played(policy, settings, episodes)
+    return {"task": task, "contact": contact, **figures, "commit": versions()["commit"], "machine": machine()}
+
+
+def played(policy: str, settings: EnvSettings, episodes: int) -> dict[str, Any]:
+    """Returns of a policy that is there already, its computing time, and the best chirp's drive."""
     acting = find_policy("chirp" if policy == "best chirp" else policy, settings, SEED)
-    drive = best_chirp(task) if policy == "best chirp" else None
+    drive = best_chirp(settings.task) if policy == "best chirp" else None
     if drive is not None:
         acting = acting._replace(keywords={**acting.keywords, "scene": {"drive": drive}})
-    return {
-        "task": task,
-        "contact": contact,
-        **_evaluated(policy, acting, settings.env_settings, episodes),
-        "milliseconds": milliseconds(acting, settings),
-        "drive": drive,
-        "commit": versions()["commit"],
-        "machine": machine(),
-    }
+    figures = _evaluated(policy, acting, settings.env_settings, episodes)
+    return figures | {"milliseconds": milliseconds(acting, settings), "drive": drive}
 
 
 def milliseconds(acting: PolicyWithEnv, settings: EnvSettings) -> float:
@@ -189,14 +146,15 @@ def curve_of(rows: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
     )
 
 
-def in_scene(folder: Path, scene: dict[str, float], policy: str, episodes: int) -> dict[str, Any]:
-    """Returns of the level box or of one of the trainings in a scene."""
-    settings, run = EnvSettings(scene=json.dumps(scene)), folder / "varied-scenes"
-    if policy == "varied scenes":
-        with FileLock(folder / "varied-scenes.lock"):  # other workers wait for the one that trains
-            trained_in(run, VARIED, progress=False)
-    named = {"one scene": "ppo", "varied scenes": str(run)}.get(policy, policy)
-    return _evaluated(policy, find_policy(named, settings, SEED), settings.env_settings, episodes)
+def in_scene(runs: str, scene: dict[str, float], episodes: int) -> dict[str, Any]:
+    """Returns of the level box and of both trainings in a scene."""
+    settings, varied = EnvSettings(scene=json.dumps(scene)), trained_once(Path(runs) / "varied-scenes", VARIED)
+    names = {"level": "level", "one scene": "ppo", "varied scenes": str(varied)}
+    earned = {
+        policy: _evaluated(policy, find_policy(name, settings, SEED), settings.env_settings, episodes)
+        for policy, name in names.items()
+    }
+    return {"scene": scene, "earned": earned}
 
 
 # -- chirps ------------------------------------------------------------------------------------------------------------

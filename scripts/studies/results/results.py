@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ import numpy as np
 from agents.policies.network import TRAINED
 from agents.policies.planner import FAST_SEARCHES, SEARCHES
 from jackbox_env.model.scene import Scene
-from jackbox_env.tools.command_line import command_line
-from jackbox_env.tools.files import check_writable, replacing, write_text
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import replacing
+from scripts.studies import study
 from scripts.studies.pages import label_ends, table
 from scripts.studies.results import measured as these
 
@@ -24,9 +24,11 @@ NOTES = {"juggle": " (upper bound: of an upright bounce)", "spin": "", "rattle":
 
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(study.Arguments):
     """Evaluate all policies and write the page."""
 
+    runs: Path | None = Path("runs/results")
+    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     episodes: int = 256
     """Episodes of each policy."""
     planner_episodes: int = 32
@@ -35,33 +37,45 @@ class Arguments:
     """Episodes of each of the five trainings on a task."""
     across_episodes: int = 128
     """Episodes of each policy in each varied scene."""
-    runs: Path = Path("runs/results")
-    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
-    workers: int | None = None
-    """Number of evaluations at a time, each in a separate process; None: one after the other in this process."""
-    out: Path = Path("docs")
-    """Folder for results.md, results.json and results.png."""
-    progress: bool = True
-    """Show a progress bar."""
-    render: bool = False
-    """Measure nothing: write the page and draw the picture from the results that are stored."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if an interval cannot be estimated from so few episodes."""
+        for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
+            check.whole(name, getattr(self, name), at_least=4)
+
+
+def trials(arguments: Arguments) -> study.Trials:
+    """All trials of the page."""
+    runs = str(arguments.runs)
+    policies = {**dict.fromkeys(these.POLICIES, arguments.episodes), "planner": arguments.planner_episodes}
+    every: study.Trials = [
+        {"part": "learning", "runs": runs, "task": task, "seed": seed, "episodes": arguments.training_episodes}
+        for seed, task in product(these.SEEDS, TRAINED)
+    ]
+    for task, contact, (policy, count) in product(TRAINED, these.CONTACTS, policies.items()):
+        row = {"task": task, "contact": contact, "policy": policy, "episodes": count}
+        every.append({"part": "rows", "runs": runs, **row})
+    for restitution, mass in product(these.RESTITUTIONS, these.MASSES):
+        scene = {"restitution": restitution, "jack_mass": mass}
+        every.append({"part": "across", "runs": runs, "scene": scene, "episodes": arguments.across_episodes})
+    return [*every, {"part": "spin_bound", "episodes": arguments.episodes}]
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def page(record: dict[str, Any]) -> str:
-    """The page."""
+def filled(record: study.Record) -> dict[str, Any]:
+    """The numbers of docs/results.md."""
     best = {(row["task"], row["policy"]): row for row in record["rows"] if row["contact"] == "exact"}
     earned = {task: {name: row["mean"] for (of, name), row in best.items() if of == task} for task in TRAINED}
     drives = [(task, best[task, "best chirp"]["drive"]) for task in TRAINED]
     fast = 2.0 * Scene().speed_scale
-    fields = {
+    return {
         "earned": earned,
         "by_pymunk": _mean(record["rows"], "rattle", "planner", "pymunk"),
         "anchors": {name: ", ".join(f"{earned[task][name]:.1f}" for task in TRAINED) for name in ("zero", "planner")},
-        "seed": record["seed"],
-        "resamples": record["resamples"],
+        "seed": these.SEED,
+        "resamples": these.RESAMPLES,
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
         "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TRAINED},
         "tried": len(these.chirps()),
@@ -82,7 +96,6 @@ def page(record: dict[str, Any]) -> str:
         "machines": "; ".join(sorted({row["machine"] for row in record["rows"]})),
         "trained": _trained(record["learning"]),
     }
-    return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
 def _mean(rows: list[dict[str, Any]], *wanted: str) -> float:
@@ -144,7 +157,7 @@ def _trained(rows: list[dict[str, Any]]) -> str:
     return table(("task", "mean of five", "lowest to highest", "decisions", "seconds"), lines)
 
 
-def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound: float, path: Path) -> None:
+def draw(record: study.Record, folder: Path) -> None:
     """Draw the learning curves of five trainings on each task, other policies' returns and upper bounds, for exact."""
     from matplotlib.figure import Figure
 
@@ -152,10 +165,10 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound:
 
     figure = Figure(figsize=(5.0, 7.4), layout="constrained")
     panels = figure.subplots(len(TRAINED), 1)
-    known = {(row["task"], row["policy"]): row["mean"] for row in rows if row["contact"] == "exact"}
-    known |= {("juggle", "upper bound"): these.best_upright(), ("spin", "upper bound"): spin_bound}
+    known = {(row["task"], row["policy"]): row["mean"] for row in record["rows"] if row["contact"] == "exact"}
+    known |= {("juggle", "upper bound"): these.best_upright(), ("spin", "upper bound"): record["spin_bound"]}
     for axes, task in zip(panels, TRAINED, strict=True):
-        seconds, middle, (low, high) = these.curve_of(_of_task(learning, task))
+        seconds, middle, (low, high) = these.curve_of(_of_task(record["learning"], task))
         axes.plot(seconds, middle, "o-", color=JACK, markersize=4, clip_on=False)
         axes.fill_between(seconds, low, high, color=JACK, alpha=0.25, linewidth=0)
         ends = {"PPO, 5 seeds": middle[-1]}
@@ -169,57 +182,19 @@ def draw(rows: list[dict[str, Any]], learning: list[dict[str, Any]], spin_bound:
         axes.margins(y=0.08)
         label_ends(axes, {name: (seconds[-1], end) for name, end in ends.items()}, apart=0.105)
     panels[-1].set_xlabel("seconds of training on one core")
-    with replacing(path) as partial_file:
+    with replacing(folder / "results.png") as partial_file:
         figure.savefig(partial_file, dpi=150)
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
-
-
-def gathered(arguments: Arguments) -> dict[str, Any]:
-    """All results; unfinished trials in the folder are run."""
-    from agents.sweep_ray import runner_for
-    from scripts.studies.sweeping import swept
-
-    folder, runner = arguments.runs.resolve(), runner_for(arguments.workers, None)
-    folder.mkdir(parents=True, exist_ok=True)
-    counts = arguments.episodes, arguments.planner_episodes, arguments.across_episodes, arguments.training_episodes
-    trials = these.trials(*counts)
-    rows = swept(folder / "sweep", trials, partial(these.measured, folder), runner, arguments.progress)
-    parts: dict[str, list[Any]] = {"learning": [], "bare": [], "rows": [], "across": []}
-    for row in rows:
-        parts[row["part"]].append((row, row["row"]))
-    across: dict[str, dict[str, Any]] = {}
-    for row, earned in parts["across"]:
-        across.setdefault(json.dumps(row["scene"]), {})[row["policy"]] = earned
-    return {
-        "seed": these.SEED,
-        "resamples": these.RESAMPLES,
-        "learning": [row for _, row in parts["learning"]],
-        "rows": these.with_bare([row for _, row in parts["rows"]], [row for _, row in parts["bare"]]),
-        "across": [{"scene": json.loads(scene), "earned": earned} for scene, earned in across.items()],
-        "spin_bound": these.spin_bound(arguments.episodes),
-    }
-
-
-@command_line
-def main() -> None:
-    """Parse, run the missing evaluations, write the page."""
-    import tyro
-
-    arguments = tyro.cli(Arguments, description=__doc__)
-    from jackbox_env.tools import checks as check
-
-    for name in ("episodes", "planner_episodes", "training_episodes", "across_episodes"):
-        check.whole(name, getattr(arguments, name), at_least=4)
-    check_writable(arguments.out)
-    path = arguments.out / "results.json"
-    record = json.loads(path.read_text()) if arguments.render else gathered(arguments)
-    write_text(arguments.out / "results.md", page(record))
-    draw(record["rows"], record["learning"], record["spin_bound"], arguments.out / "results.png")
-    write_text(path, json.dumps(record, indent=1) + "\n")
-    print(f"Written: {arguments.out / 'results.md'}")
-
+STUDY = study.Study(
+    "results",
+    {"learning": these.learning, "rows": these.policy_row, "across": these.in_scene, "spin_bound": these.spin_bound},
+    filled,
+    Arguments,
+    trials,
+    single=frozenset({"spin_bound"}),
+    draw=draw,
+)
 
 if __name__ == "__main__":
-    main()
+    study.main(STUDY, __doc__)

@@ -2,43 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
-from jackbox_env.tools.command_line import command_line
-from scripts.studies import timing
+from scripts.studies import study, timing
 from scripts.studies.pages import figure, rounded, table
 from scripts.studies.speed import measured as these
 from scripts.studies.timing import Rates
 
-Part = Literal["alone", "together", "threads", "start"]
-PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "numba", "stable-baselines3", "envpool")
 STARTS = 3  # cold starts of each kind at most: each compiles everything
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """Measure in interleaved rounds; every figure is the median over the rounds."""
-
-    parts: tuple[Part, ...] = ("alone", "together", "threads", "start")
-    """Parts of the page to measure; the others stay as stored. None: only write the page from stored results."""
-    rounds: int = 5
-    """Rounds; each measures everything once, so that a slow moment of the machine falls on all."""
-    seconds: float = 0.4
-    """Time per measurement [s]."""
-    out: Path = Path("docs")
-    """Folder of the page speed.md and its results speed.json."""
-
-
-# Results are stored by part: rates and ratios in each round; made: machine, versions and rounds; kept: ratios of an
-# earlier run to peers that are not installed now.
-Results = Mapping[str, Mapping[str, Any]]
 RATIOS = {
     "alone": {
         "the default over LunarLander-v3": (these.PYMUNK, these.LANDER),
@@ -77,31 +54,32 @@ def ratios_of(part: str, rates: Rates) -> Rates:
     return {what: timing.ratios(rates, *two) for what, two in RATIOS[part].items() if set(two) <= set(rates)}
 
 
-def earlier_ratios(stored: Mapping[str, Any], ratios: Rates) -> dict[str, Any]:
-    """The ratios of a stored part that are not among those measured now."""
-    known = {what: {"values": values, "made": stored["made"]} for what, values in stored.get("ratios", {}).items()}
-    return {what: ratio for what, ratio in (known | stored.get("kept", {})).items() if what not in ratios}
-
-
-def measured(part: Part, rounds: int, seconds: float, stored: dict[str, Any]) -> dict[str, Any]:
-    """Measure a part of the page. The ``stored`` ratios to peers that are not installed now stay."""
-    before, cores = timing.core_seconds(), os.sched_getaffinity(0) if timing.PINNED else {0}
+def measured(part: str, rounds: int, seconds: float) -> dict[str, Any]:
+    """Rates and ratios of a part of the page in each round, on one core except for threads."""
+    cores = os.sched_getaffinity(0) if timing.PINNED else {0}
     timing.on_cores(cores if part == "threads" else {max(cores)})
-    results: dict[str, Any] = {}
+    makes: dict[str, Callable[[float], dict[str, timing.Timed]]] = {
+        "alone": these.alone, "together": these.together, "threads": partial(these.threads, len(cores))
+    }  # fmt: skip
     if part == "start":
         results = these.start(min(rounds, STARTS))
     else:
-        makes: dict[str, Callable[[float], dict[str, timing.Timed]]] = {
-            "alone": these.alone, "together": these.together, "threads": partial(these.threads, len(cores))
-        }  # fmt: skip
-        results["rates"] = timing.measure(makes[part](seconds), rounds)
-        results["ratios"] = ratios_of(part, results["rates"])
-        results["kept"] = earlier_ratios(stored, results["ratios"])
+        rates = timing.measure(makes[part](seconds), rounds)
+        results = {"rates": rates, "ratios": ratios_of(part, rates)}
     if part == "together":
         results["lost"] = these.lost()
     timing.on_cores(cores)
-    made = f"{timing.measured_with(PACKAGES)}; {rounds} rounds of {seconds:g} s. {timing.busy_since(before)}"
-    return results | {"made": made}
+    return results
+
+
+def with_earlier(new: study.Record, stored: study.Record) -> study.Record:
+    """New results, with the stored ratios to peers that are not installed now, and what measured those."""
+    for part in RATIOS.keys() & new.keys():
+        before = stored.get(part, {"ratios": {}, "kept": {}})
+        earlier = {what: {"values": values, "made": stored["made"][part]} for what, values in before["ratios"].items()}
+        of = new[part]["ratios"]
+        new[part]["kept"] = {what: one for what, one in (earlier | before["kept"]).items() if what not in of}
+    return new
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
@@ -134,18 +112,18 @@ def all_ratios(results: Mapping[str, Any]) -> Rates:
     return {**results["ratios"], **{what: earlier["values"] for what, earlier in results["kept"].items()}}
 
 
-def page(results: Results) -> str:
-    """docs/speed.md."""
+def filled(results: study.Record) -> dict[str, Any]:
+    """The numbers of docs/speed.md."""
     together = results["together"]
     rates = {
         part: {name: rounded(statistics.median(values)) for name, values in of["rates"].items()}
         for part, of in results.items()
-        if "rates" in of
+        if part in RATIOS
     }
     over = {what: rounded(statistics.median(values)) for what, values in all_ratios(together).items()}
     peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
     known = {f"batch over {whose} CartPole-v1": words for whose, words in peers.items()}
-    fields = {
+    return {
         "one": {name: rates["alone"][of] for name, of in ONE.items()},
         "batch": rates["together"][these.BATCH],
         "over": " and ".join(f"{over[what]} times as many as {words}" for what, words in known.items() if what in over),
@@ -153,50 +131,25 @@ def page(results: Results) -> str:
         "tables": {part: _section(results[part]) for part in rates},
         "lost": together["lost"],
         "memory": results["start"],
-        "made": _made(results),
     }
-    return (Path(__file__).parent / "page.md").read_text().format(**fields)
 
 
-def _made(results: Results) -> str:
-    """Machine and versions, once for all parts that share them, and each part's commit and rounds."""
-    parts = dict[str, list[str]]()
-    for part, of in results.items():
-        shared, _, rest = of["made"].partition(", commit ")
-        parts.setdefault(shared, []).append(f"`{part}` at commit {rest}")
-    return "\n".join(f"- {shared}: {' '.join(ones)}" for shared, ones in parts.items())
-
-
-def for_the_readme(results: Results) -> str:
+def for_the_readme(results: study.Record) -> str:
     """The README's sentence on speed."""
     rates = results["together"]["rates"]
     batch, cart_pole = (rounded(statistics.median(rates[name])) for name in (these.BATCH, these.POLES))
     return f"a batch of 1,024 makes [{batch} control steps a second](docs/speed.md), Gymnasium's CartPole {cart_pole}"
 
 
-@command_line
-def main() -> None:
-    """Parse, measure, write, print."""
-    import tyro
-
-    from jackbox_env.tools import checks as check
-    from jackbox_env.tools.files import check_writable, write_json, write_text
-
-    arguments = tyro.cli(Arguments, description=__doc__)
-    check.whole("rounds", arguments.rounds, at_least=1)
-    check.real("seconds", arguments.seconds, above=0.0)
-    check_writable(arguments.out)
-    path = arguments.out / "speed.json"
-    results: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-    missing = [part for part in get_args(Part) if part not in {*arguments.parts, *results}]
-    if missing:
-        raise ValueError(f"parts must name {' and '.join(missing)} too: {path} has no such results yet")
-    for part in arguments.parts:
-        results[part] = measured(part, arguments.rounds, arguments.seconds, results.get(part, {}))
-        write_json(path, results)
-    write_text(arguments.out / "speed.md", page(results))
-    print(_section(results["alone"]), results["alone"]["made"], sep="\n\n")
-
+STUDY = study.Study(
+    "speed",
+    {part: partial(measured, part) for part in (*RATIOS, "start")},
+    filled,
+    study.TimedArguments,
+    alone=frozenset({*RATIOS, "start"}),
+    packages=("jackbox", "gymnasium", "numpy", "pymunk", "numba", "stable-baselines3", "envpool"),
+    joined=with_earlier,
+)
 
 if __name__ == "__main__":
-    main()
+    study.main(STUDY, __doc__)

@@ -1,26 +1,16 @@
-"""Fit 900 synthetic recordings, and fill in docs/fitting.md: how often 95 % intervals contain the truth, and times.
-
-Some fits are made again with finite differences in place of exact derivatives. Then come recordings of small labs, some
-fitted with a wrong value of a field that is given. An interrupted run resumes.
-"""
+"""The fits of docs/fitting.md of synthetic recordings: in random scenes, and of small labs."""
 
 from __future__ import annotations
 
-import json
-import statistics
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, rollout
 from jackbox_env.measure import shooting
@@ -38,9 +28,6 @@ from jackbox_env.model.states import (
     Array,
 )
 from jackbox_env.model.tasks import sample_start
-from jackbox_env.tools.command_line import command_line
-from scripts.studies import timing
-from scripts.studies.pages import fill, table
 
 DT, SECONDS, IMPACT_NOISE = 0.02, 4.0, 1e-4  # control step [s], length of a recording [s], of impacts' times [s]
 _JACK = X_JACK, Y_JACK, THETA_JACK
@@ -63,26 +50,6 @@ LABS: dict[str, dict[str, float]] = {
     "gravity 1 % too large": {"gravity": 1.01},
     "box_half_width 1 % too large": {"box_half_width": 1.01},
 }
-HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
-PACKAGES = ("jackbox", "numpy", "scipy", "numba")
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """Fit, and write the page."""
-
-    count: int = 900
-    """Recordings."""
-    again: int = 30
-    """How many of them are fitted by finite differences, too."""
-    labs: int = 300
-    """Recordings of small labs."""
-    wrong: int = 60
-    """How many of those are fitted with each wrong value, too."""
-    workers: int | None = None
-    """Processes; None: as many as cores."""
-    out: Path = Path("docs")
-    """Folder of the page fitting.md and of the results fits.jsonl."""
 
 
 def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, float]:
@@ -112,6 +79,25 @@ def recorded(seed: int) -> tuple[Scene, Scene, tuple[str, ...], Recording, str, 
     return scene, start, fields, Recording(rows, torques, DT, impacts=impacts), kind, noise
 
 
+def followed(
+    scene: Scene, start: Array, rate: float, steps: int, motor: Callable[[Array], float] | None
+) -> tuple[Array, Array]:
+    """The exact model's states, (steps + 1, 12), and a motor's torques, (steps,) [N m], at a rate [1/s].
+
+    The motor's torque depends on the state, and stays for half a second. None: no torque. A drive goes before.
+    """
+    simulator, torques, torque = make_simulator(scene, contact="exact"), np.zeros(steps), 0.0
+    simulator.reset(start)
+    states = [simulator.state]
+    for step in range(steps):
+        if motor and step % round(0.5 * rate) == 0:
+            torque = motor(simulator.state)
+        simulator.step(1.0 / rate, None if scene.drive else torque)
+        torques[step] = torque
+        states.append(simulator.state)
+    return np.array(states), torques
+
+
 def filmed(seed: int) -> tuple[Scene, Scene, Recording]:
     """A lab, the fit's first guess, and what a camera sees of it.
 
@@ -127,25 +113,22 @@ def filmed(seed: int) -> tuple[Scene, Scene, Recording]:
         box_inertia=mass * length**2 * rng.uniform(0.5, 1.0), jack_mass=jack_mass, jack_arm=arm,
         jack_inertia=jack_mass * arm**2 * rng.uniform(0.3, 0.8), restitution=rng.uniform(0.7, 0.95), drive=None,
     )  # fmt: skip
-    simulator = make_simulator(scene, contact="exact")
-    simulator.reset(thrown(scene, rng))
-    states, torques, torque = [simulator.state], np.zeros(round(rng.uniform(3.0, 6.0) * rate)), 0.0
-    for step in range(len(torques)):
-        if pushed and step % round(0.5 * rate) == 0:
-            push = rng.uniform(-2.0, 2.0) * scene.gravity / length  # [rad/s^2]
-            back = simulator.state[OMEGA_BOX] + simulator.state[THETA_BOX]  # keeps the box from spinning
-            torque = float(scene.box_inertia * (push - back))
-        simulator.step(1.0 / rate, torque)
-        torques[step] = torque
-        states.append(simulator.state)
+    start = thrown(scene, rng)
+
+    def motor(state: Array) -> float:
+        push = rng.uniform(-2.0, 2.0) * scene.gravity / length  # [rad/s^2]
+        back = state[OMEGA_BOX] + state[THETA_BOX]  # keeps the box from spinning
+        return float(scene.box_inertia * (push - back))
+
+    states, torques = followed(scene, start, rate, round(rng.uniform(3.0, 6.0) * rate), motor if pushed else None)
     noise = np.array([rng.uniform(2e-4, 5e-4)] * 2 + [rng.uniform(2e-3, 8e-3)])  # [m], [m], [rad]
-    seen = np.array(states) + np.tile(noise, 4) * rng.standard_normal((len(states), 12))
+    seen = states + np.tile(noise, 4) * rng.standard_normal(states.shape)
     seen[:, RATES:] = np.nan
-    start = scene.changed(
+    first_guess = scene.changed(
         restitution=min(1.0, scene.restitution + rng.uniform(-0.1, 0.1)),
         **{name: getattr(scene, name) * rng.uniform(0.75, 1.33) for name in LAB_FIELDS[:2]},
     )
-    return scene, start, Recording(seen, torques, 1.0 / rate)
+    return scene, first_guess, Recording(seen, torques, 1.0 / rate)
 
 
 def thrown(scene: Scene, rng: np.random.Generator) -> Array:
@@ -210,78 +193,3 @@ def fitted(differences: bool, lab: str, seed: int) -> dict[str, Any]:
         "seed": seed, "differences": differences, "lab": lab, "observed": kind, "noise": noise, "seconds": seconds,
         "converged": bool(estimate.converged), "fields": outcomes, "held_out": held_out,
     }  # fmt: skip
-
-
-def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
-    """Fits, those that converged, how many intervals contain the truth (and the 95 % interval of that share), seconds,
-    median error.
-    """
-    rows = list(rows)
-    good = [row for row in rows if row["converged"]]
-    fields = [of for row in good for of in row["fields"].values() if of["identified"]]
-    right = sum(of["contains"] for of in fields)
-    share, error = "", ""
-    if fields:
-        low, high = stats.binomtest(right, len(fields)).proportion_ci()
-        share = f"{right / len(fields):.1%} ({low:.1%} to {high:.1%})"
-        error = f"{statistics.median(of['error'] for of in fields):.1e}"
-    seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
-    return [str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}", share, seconds, error]
-
-
-def tables(rows: list[dict[str, Any]]) -> str:
-    """The page's tables but that of labs."""
-    rows = [row for row in rows if not row["lab"]]
-    exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
-    lines = [[kind, *spread(row for row in exact if row["observed"] == kind)] for kind in MEASURED]
-    again = {row["seed"] for row in other}
-    twins = [row for row in exact if row["seed"] in again]
-    compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
-    return "\n\n".join(
-        [
-            table(("observed", *HEADS), [*lines, ["**all**", *spread(exact)]]),
-            "The same recordings by exact derivatives of each step and by differences of 1e-7:",
-            table(("derivatives", *HEADS), compared),
-        ]
-    )
-
-
-def labs_table(rows: list[dict[str, Any]]) -> str:
-    """The page's table of labs."""
-    lines = [[lab, *spread(row for row in rows if row["lab"] == lab)] for lab in LABS]
-    return table(("in the fit", *HEADS), lines)
-
-
-@command_line
-def main() -> None:
-    """Parse, run the missing fits, write the page."""
-    import multiprocessing
-
-    import tyro
-    from tqdm import tqdm
-
-    from jackbox_env.tools.files import check_writable, write_text
-
-    arguments = tyro.cli(Arguments, description=__doc__)
-    check_writable(arguments.out)
-    path, page = arguments.out / "fits.jsonl", arguments.out / "fitting.md"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(row["seed"], row["differences"], row["lab"]) for row in rows}
-    kinds = [(False, "", arguments.count), (True, "", arguments.again)]
-    kinds += [(False, lab, arguments.wrong if wrong else arguments.labs) for lab, wrong in LABS.items()]
-    context = multiprocessing.get_context("spawn")
-    with path.open("a") as file, context.Pool(arguments.workers) as pool:
-        for differences, lab, count in kinds:
-            missing = [seed for seed in range(count) if (seed, differences, lab) not in done]
-            finished = pool.imap_unordered(partial(fitted, differences, lab), missing)
-            for row in tqdm(finished, total=len(missing), unit="fit"):
-                print(json.dumps(row), file=file, flush=True)
-                rows.append(row)
-    made = f"`python scripts/studies/fits.py` on {timing.measured_with(PACKAGES)}."
-    for name, text in (("fits", tables(rows)), ("labs", labs_table(rows))):
-        write_text(page, fill(page.read_text(), name, f"{text}\n\n{made}"))
-        print(text)
-
-
-if __name__ == "__main__":
-    main()

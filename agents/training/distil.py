@@ -23,17 +23,26 @@ from tqdm import trange
 from agents.policies.network import SHIPPED, write_with_layers
 from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, uprighted
 from agents.policies.value import UNIT, Value, read_value
-from jackbox_env import Rollout, Scene, rollout
+from agents.training.fitting import (
+    CONTROL_DT,
+    REPEAT,
+    SCENE,
+    advanced,
+    epoch,
+    inputs_and_goals,
+    layers_of,
+    mean_return,
+    network,
+    starts,
+)
 from jackbox_env.model.landing import torques
 from jackbox_env.model.states import Array
-from jackbox_env.model.tasks import sample_start
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import epoch, inputs_and_goals, layers_of, network
 
 ANGLES = 0.4 * np.sign(np.linspace(-1.0, 1.0, 31)) * np.abs(np.linspace(-1.0, 1.0, 31)) ** 1.4  # finer near level
 SETTINGS = LandingSettings(angles=tuple(ANGLES.round(4).tolist()), rates=(-1.0, -0.5, 0.0, 0.5, 1.0))
 COARSE = replace(SETTINGS, angles=SETTINGS.angles[1::2], rates=(-0.8, 0.0, 0.8))  # that the rounds are played with
-SCENE, DECISION_TIME = Scene(drive=None), SETTINGS.action_repeat * SETTINGS.control_dt  # [s]
+DECISION_TIME = REPEAT * CONTROL_DT  # [s]
 JACKS = 600  # in each round
 FIRST, COUNTED, HORIZON = 24, 22, 40  # decisions: to the first landing at most, from which states are fitted, ahead
 DISCOUNT = 0.975  # of a decision
@@ -53,22 +62,6 @@ class Arguments:
     """Of playing and fitting."""
     seed: int = 0
     """Seed of the starts, pairs and the order of fitting."""
-
-
-def advanced(states: Array, acting: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """States a decision later, shape (n, 12), the rewards, (n,), and which jacks struck a wall, (n,)."""
-    played = rollout(
-        SCENE, states, acting[:, None] * SCENE.torque_limit, SETTINGS.control_dt, impacts=True, rewards=SETTINGS.task,
-        repeat=SETTINGS.action_repeat, trajectories=False, num_threads=1,
-    )  # fmt: skip
-    assert isinstance(played, Rollout)
-    assert played.impacts is not None
-    return played.trajectories[:, 1], played.rewards.sum(axis=1), played.impacts.sum(axis=1) > 0
-
-
-def starts(count: int, rng: np.random.Generator) -> Array:
-    """States that episodes start in, shape (count, 12)."""
-    return np.array([sample_start(SCENE, rng) for _ in range(count)])
 
 
 def drawn(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> Array:
@@ -96,7 +89,7 @@ def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tu
         acting = np.zeros(len(now))
         acting[~free] = policy.towards_best(now[~free])
         acting[free] = torques(SCENE, now[free], pairs[free], DECISION_TIME)
-        after, rewards, struck = advanced(visited[-1], acting)
+        after, rewards, struck = advanced(SETTINGS.task, visited[-1], acting)
         landed[free & struck] = decision + 1
         visited.append(after)
         earned.append(rewards)
@@ -119,15 +112,6 @@ def fit(net: Any, value: Value, recent: deque[tuple[Array, Array]], rate: float)
     samples, optimiser = inputs_and_goals(value, states, worth), torch.optim.Adam(net.parameters(), rate)
     errors = [error for _ in range(EPOCHS) for error in epoch(net, optimiser, *samples)]
     return UNIT * float(np.sqrt(np.mean(errors))) if errors else np.nan
-
-
-def mean_return(policy: LandingPolicy, count: int, rng: np.random.Generator) -> float:
-    """Mean return of an episode."""
-    states, total = starts(count, rng), 0.0
-    for _ in range(100):
-        states, rewards, _ = advanced(states, policy.towards_best(states))
-        total += float(rewards.mean())
-    return total
 
 
 @command_line
@@ -155,7 +139,8 @@ def main() -> None:
             error = fit(net, value, recent, RATE * (1.0 - number / arguments.rounds) + 1e-4)
             write_with_layers(arguments.out, LANDING, SETTINGS, layers_of(net))
             if number % 5 == 4 or number + 1 == arguments.rounds:
-                earns = mean_return(LandingPolicy(SETTINGS, layers_of(net)), 100, trials)
+                policy = LandingPolicy(SETTINGS, layers_of(net))
+                earns = mean_return(SETTINGS.task, starts(100, trials), policy.towards_best)
                 bar.write(f"round {number + 1}: off by {error:.1f}, return {earns:.1f}")
 
 

@@ -10,10 +10,10 @@ import torch
 
 from agents.policies.network import SHIPPED
 from agents.policies.value import read_value
+from agents.training import distil, vine
+from agents.training.fitting import REPEAT, SCENE, layers_of, network, starts
 from jackbox_env import rollout
 from jackbox_env.model.tasks import TASKS
-from scripts.studies import distil, vine
-from scripts.studies.fitting import layers_of, network
 
 
 def test_fitting_comes_closer() -> None:
@@ -22,7 +22,7 @@ def test_fitting_comes_closer() -> None:
     for one, other in zip(layers_of(net), value.layers, strict=True):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
-    states = distil.starts(600, rng)
+    states = starts(600, rng)
     batches = deque([(states, value.of(states) + 20.0)])
     first = distil.fit(net, value, batches, 1e-3)
     for _ in range(15):
@@ -44,21 +44,19 @@ def nets() -> tuple[Any, Any]:
 def test_the_worth_of_a_torque_is_the_return_of_the_torque_and_then_the_network() -> None:
     (net, critic), rng = nets(), np.random.default_rng(0)
     recipe = vine.RECIPES["rattle"]._replace(symmetric=False, ahead=1, discount=0.0, task=TASKS["spin"])
-    states = vine.starts(40, rng)
+    states = starts(40, rng)
     states[:, 11] = 5.0  # so that a torque matters at once
     judged = vine.judged(net, critic, recipe, states, rng)
     np.testing.assert_allclose(judged.advantages.mean(dim=1), 0.0, atol=1e-5)
-    torques = np.clip(judged.tried.numpy().astype(float), -1.0, 1.0).reshape(-1, 1) * vine.SCENE.torque_limit
-    played = rollout(
-        vine.SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=vine.REPEAT
-    )
+    torques = np.clip(judged.tried.numpy().astype(float), -1.0, 1.0).reshape(-1, 1) * SCENE.torque_limit
+    played = rollout(SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=REPEAT)
     earned = played.rewards.sum(axis=1).reshape(40, vine.TRIES)
     assert np.abs(vine.UNIT * judged.worth.numpy()[:, 0] - earned.mean(axis=1)).max() < 1e-5
 
 
 def test_improving_moves_the_network_to_better_torques() -> None:
     both, rng = nets(), np.random.default_rng(0)
-    judged = vine.judged(*both, vine.RECIPES["rattle"], vine.starts(600, rng), rng)
+    judged = vine.judged(*both, vine.RECIPES["rattle"], starts(600, rng), rng)
     optimisers = torch.optim.Adam(both[0].parameters(), 1e-3), torch.optim.Adam(both[1].parameters(), 1e-3)
 
     def towards_better() -> float:

@@ -1,4 +1,4 @@
-"""Networks of torch that :mod:`.distil` and :mod:`.value` fit to values of states."""
+"""What :mod:`.distil`, :mod:`.value` and :mod:`.vine` share: rollouts of decisions, and the fitting of networks."""
 
 from __future__ import annotations
 
@@ -7,14 +7,47 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from agents.policies.network import Layer
 from agents.policies.value import UNIT, Value
+from jackbox_env import Rollout, Scene, Task, rollout
 from jackbox_env.model.states import OMEGA_BOX, OMEGA_JACK, THETA_BOX, THETA_JACK, VX_BOX, VX_JACK, X_BOX, X_JACK, Array
+from jackbox_env.model.tasks import sample_start
 
+SCENE, CONTROL_DT, REPEAT = Scene(drive=None), 0.02, 5  # of all rollouts; [s]; control steps of a decision
+EPISODE = 100  # decisions
 BATCH = 512
 # Components that change sign if left and right are exchanged.
 _MIRRORED = np.array([X_BOX, THETA_BOX, X_JACK, THETA_JACK, VX_BOX, OMEGA_BOX, VX_JACK, OMEGA_JACK])
+
+
+def starts(count: int, rng: np.random.Generator) -> Array:
+    """States that episodes start in, shape (count, 12)."""
+    return np.array([sample_start(SCENE, rng) for _ in range(count)]).reshape(-1, 12)
+
+
+def advanced(task: str | Task, states: Array, acting: NDArray[Any]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """States a decision later, shape (n, 12), the rewards, (n,), and which jacks struck a wall, (n,).
+
+    ``acting`` has a torque for each, (n,), in units of the limit, beyond which it is clipped.
+    """
+    torques = np.clip(acting, -1.0, 1.0)[:, None] * SCENE.torque_limit
+    played = rollout(
+        SCENE, states, torques, CONTROL_DT, impacts=True, rewards=task, repeat=REPEAT, trajectories=False, num_threads=1
+    )
+    assert isinstance(played, Rollout)
+    assert played.impacts is not None
+    return played.trajectories[:, 1].copy(), played.rewards.sum(axis=1), played.impacts.sum(axis=1) > 0
+
+
+def mean_return(task: str, states: Array, act: Callable[[Array], NDArray[Any]]) -> float:
+    """Mean return of an episode from each of these states, by a policy's torques in units of the limit."""
+    total = 0.0
+    for _ in range(EPISODE):
+        states, rewards, _ = advanced(task, states, act(states))
+        total += float(rewards.mean())
+    return total
 
 
 def mirrored(states: Array) -> Array:

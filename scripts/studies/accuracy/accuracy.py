@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jackbox_env.simulators.fidelity import FIDELITIES
-from jackbox_env.tools.command_line import command_line
-from jackbox_env.tools.files import check_writable, stamped, write_text
+from jackbox_env.tools import checks as check
+from scripts.studies import study
+from scripts.studies.accuracy import measured as these
 from scripts.studies.accuracy.measured import (
     ALL,
     BATCH,
@@ -27,17 +28,13 @@ from scripts.studies.accuracy.measured import (
     named,
     of_fidelity,
     pymunk,
-    run,
 )
 from scripts.studies.accuracy.picture import draw, draw_impacts
 from scripts.studies.pages import table, two_digits
 
-PAGE, BESIDE, PICTURE, IMPACTS = "accuracy.md", "accuracy", "work_precision.svg", "impacts.png"
-LATER = " These cases were scored later, at commit {}; the rest of this page is older."
-
 
 @dataclass(frozen=True)
-class Arguments:
+class Arguments(study.Arguments):
     """Sweep, or write the page again."""
 
     quick: bool = False
@@ -48,21 +45,17 @@ class Arguments:
     """Rounds in which the costs are measured; None: 7, or 3 when quick."""
     seconds: float = 0.3
     """Time per measurement of cost [s]."""
-    runs: Path | None = None
-    (
-        "Folder of the sweep; made if there is none. What is finished there is not done again. None: "
-        "runs/benchmark-<date>-<time>."
-    )
-    page_from: Path | None = None
-    """Do not sweep: write page and pictures again from this results.json and the results.csv in its folder."""
-    workers: int | None = None
-    """So many settings measured side by side; None: one after the other. Costs are measured alone."""
-    address: str | None = None
-    """With Ray on a cluster: the address of its head, or auto on one of its machines."""
-    out: Path | None = None
-    """Folder of the page, e.g. docs, with its files in accuracy/; None: the run folder."""
-    progress: bool = True
-    """Show progress bars."""
+
+
+def trials(arguments: Arguments) -> study.Trials:
+    """The errors of each setting, then the costs of all."""
+    few = arguments.quick
+    cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)
+    rounds = check.whole("rounds", (3 if few else 7) if arguments.rounds is None else arguments.rounds, at_least=1)
+    seconds = check.real("seconds", arguments.seconds, above=0.0)
+    names = dict.fromkeys(one.name for one in these.settings(few) + these.contenders(few) if one.make)
+    errors = [{"part": "errors", "name": name, "quick": few, "cases": cases} for name in names]
+    return [*errors, {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}]
 
 
 class Claim(NamedTuple):
@@ -151,10 +144,12 @@ def figure(value: float) -> str:
     return two_digits(value)
 
 
-def page(results: Results) -> str:
-    """The whole page; its files are in accuracy/."""
-    fields = _words(results) | _tables(results) | {"fidelity_table": fidelity_table(results)}
-    return (Path(__file__).parent / "page.md").read_text().format(**fields)
+def filled(record: study.Record) -> dict[str, Any]:
+    """The numbers of docs/accuracy.md."""
+    results, about = Results.of_record(record), record["costs"]["about"]
+    missing = "".join(f" {name}: {sentence}." for name, sentence in about["missing"].items())
+    fields = {"fidelity_table": fidelity_table(results), "about": about, "missing": missing}
+    return fields | _words(results) | _tables(results)
 
 
 def fidelity_table(results: Results) -> str:
@@ -173,7 +168,7 @@ def fidelity_table(results: Results) -> str:
 
 
 def _words(results: Results) -> dict[str, Any]:
-    about, single = results.about, pymunk(4, 1).name
+    single = pymunk(4, 1).name
     wrong, lost = results.some(THRESHOLD, "imbalance", "escaped")
     alone, batch = results.of(EXACT, "cost").median, results.of(BATCH, "cost").median
     return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
@@ -190,11 +185,6 @@ def _words(results: Results) -> dict[str, Any]:
         "expected": f"{results.of(DEFAULT, 'expected').total:,.0f}",
         "proven": [f"{results.of(EXACT, name, REFERENCE).total:g}" for name in ("prefix", "known")],
         "kinds": ", ".join(KINDS),
-        "later": "" if "reference" not in about else LATER.format(about["reference"]["commit"]),
-        "about": about,
-        "busy": _percent(about["busy"]),
-        "versions": ", ".join(f"{name} {version}" for name, version in about["versions"].items()),
-        "missing": "".join(f" {name}: {sentence}." for name, sentence in about["missing"].items()),
     }
 
 
@@ -271,48 +261,44 @@ def _cell(results: Results, name: str, quantity: str, runs: int) -> str:
     return _spread(row) + ("" if row.n == runs else f" ({row.n})")
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
+# -- the study ---------------------------------------------------------------------------------------------------------
 
 
-def write(results: Results, folder: Path) -> None:
-    """Write the page, its picture and its numbers."""
-    beside = folder / BESIDE
-    beside.mkdir(exist_ok=True)
-    draw(results, beside / PICTURE)
-    draw_impacts(results, ranking(results), beside / IMPACTS)
-    write_text(folder / PAGE, page(results))
-    results.save(beside)
+def draw_both(record: study.Record, folder: Path) -> None:
+    """Draw both pictures."""
+    results, pictures = Results.of_record(record), folder / "accuracy"
+    pictures.mkdir(exist_ok=True)
+    draw(results, pictures / "work_precision.svg")
+    draw_impacts(results, ranking(results), pictures / "impacts.png")
 
 
-@command_line
-def main() -> None:
-    """Sweep or read, write, check."""
-    import tyro
+def report(record: study.Record) -> None:
+    """Print the table of fidelities and the claims.
 
-    arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.sweep_ray import runner_for
-    from jackbox_env.tools import checks as check
-
-    few = arguments.quick
-    cases = check.whole("cases", (5 if few else 34) if arguments.cases is None else arguments.cases, at_least=2)
-    rounds = check.whole("rounds", (3 if few else 7) if arguments.rounds is None else arguments.rounds, at_least=1)
-    seconds = check.real("seconds", arguments.seconds, above=0.0)
-    if arguments.out is not None:
-        check_writable(arguments.out)
-    if arguments.page_from is not None:
-        results, folder = Results.load(arguments.page_from.parent), arguments.page_from.resolve().parents[1]
-    else:
-        folder, runner = arguments.runs or stamped("benchmark"), runner_for(arguments.workers, arguments.address)
-        results = run(folder, few, cases, rounds, seconds, arguments.progress, runner)
-    write(results, arguments.out or folder)
+    Raises:
+        RuntimeError: a claim does not hold.
+    """
+    results = Results.of_record(record)
     checked = claims(results)
     print(fidelity_table(results))
     print("\n".join(f"{'holds' if claim.holds else 'FAILS'}: {claim.what}: {claim.measured}" for claim in checked))
-    print(f"Wrote {(arguments.out or folder) / PAGE}")
     failed = [claim.what for claim in checked if not claim.holds]
     if failed:
         raise RuntimeError(f"{len(failed)} claims do not hold: " + "; ".join(failed))
 
 
+STUDY = study.Study(
+    "accuracy",
+    {"errors": these.errors_of, "costs": these.costs_of},
+    filled,
+    Arguments,
+    trials,
+    single=frozenset({"costs"}),
+    alone=frozenset({"costs"}),
+    packages=("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "numba", "mujoco", "box2d"),
+    draw=draw_both,
+    report=report,
+)
+
 if __name__ == "__main__":
-    main()
+    study.main(STUDY, __doc__)

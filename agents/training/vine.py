@@ -14,6 +14,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -28,15 +29,13 @@ from agents.policies.network import write_with_layers
 from agents.policies.value import INPUTS
 from agents.runs import SETTINGS
 from agents.settings import TrainSettings
-from jackbox_env import Rollout, Scene, Task, rollout
+from agents.training.fitting import EPISODE, REPEAT, SCENE, advanced, layers_of, mean_return, mirrored, starts
+from jackbox_env import Task
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.states import Array
-from jackbox_env.model.tasks import TASKS, sample_start
+from jackbox_env.model.tasks import TASKS
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import layers_of, mirrored
 
-SCENE = Scene(drive=None)
-REPEAT, CONTROL_DT, EPISODE = 5, 0.02, 100  # control steps of a decision, [s], decisions
 WIDTHS, CRITIC, FIRST_SCALE = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights
 JACKS, DECISIONS = 512, 16  # side by side; of each in a round
 TRIES, SPREAD, NOISY = 4, 0.3, 0.2  # torques from a state; their deviation [limits]; share of noisy decisions
@@ -110,28 +109,6 @@ def outputs(net: Any, states: Array) -> NDArray[np.float32]:
         return np.concatenate([net(rows[first : first + BATCH])[:, 0] for first in range(0, len(rows), BATCH)])
 
 
-def advanced(task: Task, states: Array, acting: NDArray[Any]) -> tuple[Array, Array]:
-    """States a decision later, shape (n, 12), and the rewards, (n,), under torques (n,) in units of the limit."""
-    torques = np.clip(acting, -1.0, 1.0)[:, None] * SCENE.torque_limit
-    played = rollout(SCENE, states, torques, CONTROL_DT, rewards=task, repeat=REPEAT, trajectories=False, num_threads=1)
-    assert isinstance(played, Rollout)
-    return played.trajectories[:, 1].copy(), played.rewards.sum(axis=1)
-
-
-def starts(count: int, rng: np.random.Generator) -> Array:
-    """States that episodes start in, shape (count, 12)."""
-    return np.array([sample_start(SCENE, rng) for _ in range(count)]).reshape(-1, 12)
-
-
-def mean_return(net: Any, name: str, states: Array) -> float:
-    """Mean return of an episode from each of these states, in the task of that name as it stands."""
-    total = 0.0
-    for _ in range(EPISODE):
-        states, rewards = advanced(TASKS[name], states, outputs(net, states))
-        total += float(rewards.mean())
-    return total
-
-
 def played(net: Any, task: Task, states: Array, ages: NDArray[np.int64], rng: np.random.Generator) -> Array:
     """Play on under some noise: ``states``, shape (n, 12), and ``ages`` in decisions, (n,), change in place.
 
@@ -144,7 +121,7 @@ def played(net: Any, task: Task, states: Array, ages: NDArray[np.int64], rng: np
         states[old], ages[old] = starts(int(old.sum()), rng), 0
         visited.append(states.copy())
         noise = SPREAD * rng.normal(size=len(states)) * (rng.random(len(states)) < NOISY)
-        states[:], _ = advanced(task, states, np.clip(outputs(net, states), -1.0, 1.0) + noise)
+        states[:], *_ = advanced(task, states, np.clip(outputs(net, states), -1.0, 1.0) + noise)
         ages += 1
     return np.concatenate(visited)
 
@@ -154,9 +131,9 @@ def judged(net: Any, critic: Any, recipe: Recipe, states: Array, rng: np.random.
     half = SPREAD * rng.normal(size=(len(states), TRIES // 2))
     means = np.clip(outputs(net, states), -1.0, 1.0)[:, None]
     tried = means + np.concatenate([half, -half], axis=1)
-    now, returns = advanced(recipe.task, np.repeat(states, TRIES, axis=0), tried.ravel())
+    now, returns, _ = advanced(recipe.task, np.repeat(states, TRIES, axis=0), tried.ravel())
     for decision in range(1, recipe.ahead):
-        now, rewards = advanced(recipe.task, now, outputs(net, now))
+        now, rewards, _ = advanced(recipe.task, now, outputs(net, now))
         returns += recipe.discount**decision * rewards
     returns = (returns + recipe.discount**recipe.ahead * UNIT * outputs(critic, now)).reshape(tried.shape)
     worth = returns.mean(axis=1, keepdims=True)
@@ -219,7 +196,7 @@ def main() -> None:
                 old.data.lerp_(new.data, max(MEMORY, 1.0 / (number + 1)))
             write_with_layers(arguments.out, SETTINGS, settings, layers_of(policy))
             if number % 20 == 19 or number + 1 == arguments.rounds:
-                bar.write(f"round {number + 1}: return {mean_return(policy, task, trials):.1f}")
+                bar.write(f"round {number + 1}: return {mean_return(task, trials, partial(outputs, policy)):.1f}")
 
 
 if __name__ == "__main__":

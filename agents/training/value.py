@@ -21,15 +21,13 @@ from tqdm import trange
 from agents.policies.network import Layer, write_with_layers
 from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
+from agents.training.fitting import BATCH, CONTROL_DT, REPEAT, SCENE, epoch, inputs_and_goals, layers_of, starts
 from jackbox_env import Scene
 from jackbox_env.model.states import Array
-from jackbox_env.model.tasks import sample_start
 from jackbox_env.planning.icem import Search
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.fitting import BATCH, epoch, inputs_and_goals, layers_of
 
-SCENE, CONTROL_DT = Scene(drive=None), 0.02
-COMMON: dict[str, Any] = {"repeat": 5, "num_threads": 1}
+COMMON: dict[str, Any] = {"repeat": REPEAT, "num_threads": 1}
 PLAYING: dict[str, Any] = {**COMMON, "knots": 20, "samples": 96, "elites": 10, "iterations": 1}
 EVALUATING: dict[str, Any] = {**COMMON, "knots": 32, "samples": 64, "elites": 5, "iterations": 3}
 EPISODES, DECISIONS = 80, 100  # of the playing search, in each round
@@ -64,7 +62,7 @@ class RecordingSearch(ValuedSearch):
 
 def visited(search: RecordingSearch, rng: np.random.Generator) -> tuple[Array, Array]:
     """Ends of candidates, two for each decision, and visited states; shapes (n, 12)."""
-    states, rows = np.array([sample_start(SCENE, rng) for _ in range(EPISODES)]), np.arange(EPISODES)
+    states, rows = starts(EPISODES, rng), np.arange(EPISODES)
     plans, ends, visits = search.begin(EPISODES), [], []
     for _ in trange(DECISIONS, desc="play", leave=False):
         best, plans = search.decide(SCENE, states, plans)

@@ -24,16 +24,20 @@ class Arguments:
     """Show a progress bar."""
 
 
+def run_of(folder: Path, task: str, seed: int) -> Path:
+    """Run folder of a training by the settings of the shipped network, which is that of seed 0."""
+    return folder / f"{task}-{seed}"
+
+
 @command_line
 def main() -> None:
     """Parse, finish the trainings, export."""
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    from agents.evaluation.exporting import export_policy
     from agents.runs import read_settings
+    from agents.training.exporting import export_policy
     from agents.training.ppo import trained_in
-    from scripts.studies.results.measured import run_of
 
     for task in TRAINED:
         folder = arguments.out / f"{task}-ppo"

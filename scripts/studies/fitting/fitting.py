@@ -1,0 +1,137 @@
+"""Write docs/fitting.md: how often the intervals of fits contain the truth, and what fits cost.
+
+900 synthetic recordings are fitted, some again with finite differences in place of exact derivatives. Then come small
+labs, some with a wrong value of a field that is not fitted, and the recordings of a camera.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from scipy import stats
+
+from scripts.studies import study
+from scripts.studies.fitting import camera
+from scripts.studies.fitting.measured import LABS, MEASURED, fitted
+from scripts.studies.pages import table
+
+HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
+LENGTHS = "recording", "processor time", "memory", "width of the mass's interval", "converged and right", "left out"
+
+
+@dataclass(frozen=True)
+class Arguments(study.Arguments):
+    """Fit, and write the page."""
+
+    count: int = 900
+    """Recordings."""
+    again: int = 30
+    """How many of them are fitted by finite differences, too."""
+    labs: int = 300
+    """Recordings of small labs."""
+    wrong: int = 60
+    """How many of those are fitted with each wrong value, too."""
+    files: int = 40
+    """Files of a camera at each of two rates."""
+    lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
+    """Of long recordings [s]."""
+
+
+def trials(arguments: Arguments) -> study.Trials:
+    """All fits of the page, each a trial; the files at a rate are one."""
+    kinds = [(False, "", arguments.count), (True, "", arguments.again)]
+    kinds += [(False, lab, arguments.wrong if wrong else arguments.labs) for lab, wrong in LABS.items()]
+    fits: study.Trials = [
+        {"part": "fits", "differences": differences, "lab": lab, "seed": seed}
+        for differences, lab, count in kinds
+        for seed in range(count)
+    ]
+    files = [{"part": "files", "rate": rate, "count": arguments.files} for rate in (60.0, 30.0)]
+    lengths = [{"part": "lengths", "seconds": seconds} for seconds in arguments.lengths]
+    return [*fits, *files, *lengths, {"part": "printed"}]
+
+
+def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
+    """Fits, those that converged, how many intervals contain the truth (and the 95 % interval of that share), seconds,
+    median error.
+    """
+    rows = list(rows)
+    good = [row for row in rows if row["converged"]]
+    fields = [of for row in good for of in row["fields"].values() if of["identified"]]
+    right = sum(of["contains"] for of in fields)
+    share, error = "", ""
+    if fields:
+        low, high = stats.binomtest(right, len(fields)).proportion_ci()
+        share = f"{right / len(fields):.1%} ({low:.1%} to {high:.1%})"
+        error = f"{statistics.median(of['error'] for of in fields):.1e}"
+    seconds = f"{statistics.median(row['seconds'] for row in rows):.1f} s" if rows else ""
+    return [str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}", share, seconds, error]
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """The page's tables but that of labs."""
+    rows = [row for row in rows if not row["lab"]]
+    exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
+    lines = [[kind, *spread(row for row in exact if row["observed"] == kind)] for kind in MEASURED]
+    again = {row["seed"] for row in other}
+    twins = [row for row in exact if row["seed"] in again]
+    compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
+    return "\n\n".join(
+        [
+            table(("observed", *HEADS), [*lines, ["**all**", *spread(exact)]]),
+            "The same recordings by exact derivatives of each step and by differences of 1e-7:",
+            table(("derivatives", *HEADS), compared),
+        ]
+    )
+
+
+def labs_table(rows: list[dict[str, Any]]) -> str:
+    """The page's table of labs."""
+    lines = [[lab, *spread(row for row in rows if row["lab"] == lab)] for lab in LABS]
+    return table(("in the fit", *HEADS), lines)
+
+
+def lengths_table(rows: list[dict[str, Any]]) -> str:
+    """The page's table of long recordings."""
+    lines = []
+    for row in rows:
+        good = "yes" if row["converged"] and row["contains"] else "no"
+        cells = f"{row['seconds']:.1f} s", f"{row['mib']:.0f} MiB", f"{row['width']:.1g} kg", good
+        steps = f"{row['left_out']:g} of {60.0 * row['length']:g} steps"
+        lines.append([f"{row['length']:g} s", *cells, steps])
+    return table(LENGTHS, lines)
+
+
+def filled(record: study.Record) -> dict[str, Any]:
+    """The numbers of docs/fitting.md."""
+    files = [
+        f"Of {of['count']} such files at {of['rate']:g} frames a second {of['converged']} converge, and the mass is "
+        f"within the 95 % interval of {of['right']} of these."
+        for of in record["files"]
+    ]
+    return {
+        "printed": record["printed"],
+        "columns": camera.COLUMNS,
+        "lengths": lengths_table(record["lengths"]),
+        "files": "\n\n".join(files),
+        "fits": tables(record["fits"]),
+        "labs": labs_table(record["fits"]),
+    }
+
+
+STUDY = study.Study(
+    "fitting",
+    {"fits": fitted, "files": camera.fitted_files, "lengths": camera.fitted_alone, "printed": camera.printed},
+    filled,
+    Arguments,
+    trials,
+    single=frozenset({"printed"}),
+    alone=frozenset({"lengths"}),
+    packages=("jackbox", "numpy", "scipy", "numba"),
+)
+
+if __name__ == "__main__":
+    study.main(STUDY, __doc__)
