@@ -193,9 +193,8 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
         TypeError, ValueError: no observation.
         TaskError: a number is NaN.
     """
-    from jackbox_env.exact.glide import TIME, WIDTH
     from jackbox_env.exact.score import observe_rows
-    from jackbox_env.exact.workspace import SCRATCH
+    from jackbox_env.exact.workspace import SCRATCH, TIME, WIDTH
 
     chosen, count = observation_of(observation), len(states)
     block, seen = np.zeros((WIDTH, count)), np.empty((count, len(chosen.names)), dtype=np.float32)

@@ -18,8 +18,11 @@ from jackbox_env.exact.workspace import (
     ALPHA_BOUND,
     APPLIED,
     ASIDE,
+    CLEAR,
+    FALL,
     HIT,
     IMPULSE_SUM,
+    INERTIA,
     LANE_COSINE,
     LANE_CURVATURE,
     LANE_INDEX,
@@ -28,7 +31,11 @@ from jackbox_env.exact.workspace import (
     LANE_ROOM,
     LANE_SINE,
     NEAR,
+    ORDINARY,
+    OVER,
+    ROOM,
     STAYS_OFF,
+    TIME,
     TORQUE,
     TURNING,
     Workspace,
@@ -51,18 +58,6 @@ from jackbox_env.model.states import (
     Array,
 )
 
-WIDTH = 16
-TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended
-DECISIONS = 15  # in the episode, counted if each has several steps
-WIDEST = 128  # environments in a block
-# Rows of a block's scenes, with one number for each environment.
-LIMIT = 0  # of the torque [N m]
-INERTIA = 1  # of the box [kg m^2]
-FALL = 2  # speed that the jack gains in a step [m/s]
-CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.StepParameters``
-ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
-ORDINARY = 5  # bound of ordinary numbers of the state, see ``ordinary``
-SCENE_PARAMS = 6
 _DRIFT_COST = 0.005  # gap evaluations that take as long as one row's flight through a piece
 _ORDINARY = 1e9  # over L or v0: below it float64 resolves positions and speeds
 

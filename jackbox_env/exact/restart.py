@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.glide import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, ordinary
+from jackbox_env.exact.glide import ordinary
 from jackbox_env.exact.step import CONSTANT, make_parameters
-from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.exact.workspace import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, make_numbers
 from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
 from jackbox_env.model.tasks import start_pose
@@ -50,7 +50,7 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
 
 
 def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
-    """Write the numbers of scenes that rows moved together need, see ``glide.SCENE_PARAMS``.
+    """Write the numbers of scenes that rows moved together need, see ``workspace.SCENE_PARAMS``.
 
     Args:
         values: the scenes' numbers, a row for each of ``numbers`` or one for all.

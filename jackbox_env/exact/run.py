@@ -3,7 +3,7 @@
 Simulators, batches and rollouts call it: 1 row and 1 step, N rows and 1 step, N rows and H steps. In each step
 ``glide.py`` moves the rows in free flight together, ``step.py`` moves those near a wall one by one, and ``score.py``
 rewards them; then :func:`record` fills in the results.
-Rows are stored in blocks, shape (blocks, 16, width): the 12 numbers of the state, then those named in ``glide.py``.
+Rows are stored in blocks, shape (blocks, 16, width): the 12 numbers of the state, then those named in ``workspace.py``.
 Each row is a lane of its block. One number of all lanes lies side by side, so one instruction moves several rows.
 A step reads one array of blocks and writes the other, so a step that fails changes nothing.
 """
@@ -13,19 +13,25 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jackbox_env.exact.glide import DECISIONS, LIMIT, OVER, STEPS, TIME, WIDTH, Block, glide_block, glide_under_chirp
+from jackbox_env.exact.glide import Block, glide_block, glide_under_chirp
 from jackbox_env.exact.score import block_actor, block_observer, block_scorer
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, StepParameters, effort, make_parameters, step
 from jackbox_env.exact.workspace import (
     ACTIONS,
     APPLIED,
+    DECISIONS,
     HIT,
     IMPULSE_SUM,
+    LIMIT,
     NEAR,
+    OVER,
     SEPARATED,
     SHARES,
+    STEPS,
+    TIME,
     TORQUE,
     UNSCORED,
+    WIDTH,
     Arguments,
     Results,
     Rules,

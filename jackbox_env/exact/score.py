@@ -19,8 +19,7 @@ import numpy as np
 
 from jackbox_env.exact.compiler import called_at, fixed_tuple
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
-from jackbox_env.exact.glide import OVER, TIME
-from jackbox_env.exact.workspace import APPLIED, HIT, IMPULSE_SUM, TORQUE, make_numbers
+from jackbox_env.exact.workspace import APPLIED, HIT, IMPULSE_SUM, OVER, TIME, TORQUE, make_numbers
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total

@@ -83,6 +83,19 @@ BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of 
 OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
+# Rows of a block of environments, (WIDTH, width): the 12 numbers of the state, and these.
+TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended
+DECISIONS = 15  # in the episode, counted if each has several steps
+WIDTH = 16
+WIDEST = 128  # environments in a block
+# Rows of a block's scenes, with one number for each environment.
+LIMIT = 0  # of the torque [N m]
+INERTIA = 1  # of the box [kg m^2]
+FALL = 2  # speed that the jack gains in a step [m/s]
+CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.StepParameters``
+ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
+ORDINARY = 5  # bound of ordinary numbers of the state, see ``glide.ordinary``
+SCENE_PARAMS = 6
 # Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]

@@ -17,11 +17,23 @@ from numpy.typing import ArrayLike
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.envs.scoring import bad_reward, compiled_for
 from jackbox_env.exact.compiler import address_of, compiled
-from jackbox_env.exact.glide import SCENE_PARAMS, TIME, WIDTH
 from jackbox_env.exact.restart import outside, spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
-from jackbox_env.exact.workspace import NOTHING, TORQUES, Call, Results, Rules, Scenes, Status, new_log, new_memory
+from jackbox_env.exact.workspace import (
+    NOTHING,
+    SCENE_PARAMS,
+    TIME,
+    TORQUES,
+    WIDTH,
+    Call,
+    Results,
+    Rules,
+    Scenes,
+    Status,
+    new_log,
+    new_memory,
+)
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored

@@ -41,11 +41,22 @@ from typing_extensions import override
 
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.flight import TABLE_WIDTH
-from jackbox_env.exact.glide import SCENE_PARAMS, TIME, WIDTH
 from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
-from jackbox_env.exact.workspace import NOTHING, TORQUE, TORQUES, Call, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import (
+    NOTHING,
+    SCENE_PARAMS,
+    TIME,
+    TORQUE,
+    TORQUES,
+    WIDTH,
+    Call,
+    Rules,
+    Scenes,
+    Status,
+    new_memory,
+)
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step

@@ -12,12 +12,11 @@ from typing import Any
 from numba.np.arrayobj import get_cfarray_intrinsic
 
 from jackbox_env.exact.flight import TABLE_WIDTH
-from jackbox_env.exact.glide import WIDTH
 from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
 from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
-from jackbox_env.exact.workspace import AT_IMPACT, make_numbers
+from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, make_numbers
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over

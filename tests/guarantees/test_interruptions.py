@@ -21,7 +21,7 @@ import pytest
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.envs.batches import exact
 from jackbox_env.envs.batches import threads as batch_threads
-from jackbox_env.exact import compiler, glide, run
+from jackbox_env.exact import compiler, run, workspace
 from jackbox_env.exact.workspace import Status
 from tests.states import lying
 
@@ -74,7 +74,7 @@ SCENES = [Scene(restitution=0.5, drive=None), Scene(drive=Chirp(start_frequency=
 
 
 @pytest.mark.parametrize(
-    ("scene", "count"), [*zip(SCENES, (300 * glide.WIDEST, 50), strict=True)], ids=["rest", "chirp"]
+    ("scene", "count"), [*zip(SCENES, (300 * workspace.WIDEST, 50), strict=True)], ids=["rest", "chirp"]
 )
 def test_an_interruption_of_a_long_step_is_noticed_soon(
     scene: Scene, count: int, monkeypatch: pytest.MonkeyPatch

@@ -13,7 +13,7 @@ from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_a
 from jackbox_env.envs.batches.scenes import SceneTable
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
-from jackbox_env.exact import glide, restart, run, score, workspace
+from jackbox_env.exact import restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
@@ -61,8 +61,8 @@ class ExactBatch:
         self._dt, self._nouns, self._repeat, self._limits = control_dt, nouns, repeat, limits
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
-        width = min(glide.WIDEST, -(-num_envs // (num_threads or 1)))
-        self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), glide.WIDTH, width))
+        width = min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
+        self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
         self._scenes = SceneTable(scenes, several, self._blocks.shape, num_envs, control_dt)
         by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
@@ -111,12 +111,12 @@ class ExactBatch:
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return self._column(glide.TIME)
+        return self._column(workspace.TIME)
 
     @property
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
-        return np.not_equal(self._column(glide.OVER), 0.0)
+        return np.not_equal(self._column(workspace.OVER), 0.0)
 
     def _column(self, row: int) -> Array:
         """A copy of one row of the blocks, shape (N,)."""
@@ -177,13 +177,13 @@ class ExactBatch:
         numbers, words, scenes, states = starts
         several = self._scenes.rows(numbers) if scenes is None else scenes
         rows = np.array([scene.numbers for scene in several]) if isinstance(several, list) else several
-        blocks, chosen = np.zeros((1, glide.WIDTH, len(numbers))), np.arange(len(numbers))
+        blocks, chosen = np.zeros((1, workspace.WIDTH, len(numbers))), np.arange(len(numbers))
         if states is None:
             words = words.copy()
             compiled(restart.restart_blocks)(rows, blocks, chosen, words)
         else:
             blocks[0, :12] = states.T
-        blocks[0, glide.TIME] = times[numbers]
+        blocks[0, workspace.TIME] = times[numbers]
         seen = np.empty((len(numbers), len(self._nouns.observation.names)), dtype=np.float32)
         bad = self._observe(rows, blocks, chosen, seen)
         if bad >= 0:
@@ -216,9 +216,9 @@ class ExactBatch:
         blocks = self._blocks
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]
-        blocks[block, glide.TIME, lane] = times[chosen]
-        over = blocks[block, glide.OVER, lane] != 0.0
-        for row in (glide.STEPS, glide.DECISIONS, glide.OVER):
+        blocks[block, workspace.TIME, lane] = times[chosen]
+        over = blocks[block, workspace.OVER, lane] != 0.0
+        for row in (workspace.STEPS, workspace.DECISIONS, workspace.OVER):
             blocks[block[over], row, lane[over]] = 0.0
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
@@ -252,7 +252,7 @@ class ExactBatch:
             return []
         before, actions = self._last
         block, lane = divmod(number, before.shape[2])
-        steps = int(self._blocks[block, glide.STEPS, lane] - before[block, glide.STEPS, lane])
+        steps = int(self._blocks[block, workspace.STEPS, lane] - before[block, workspace.STEPS, lane])
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
         impacts = list[Impact]()
@@ -265,7 +265,7 @@ class ExactBatch:
         block, lane = divmod(number, before.shape[2])
         scene, dt = self.scene(number), self._dt
         simulator, torque = ExactSimulator(scene), None
-        simulator.reset(before[block, :12, lane], float(before[block, glide.TIME, lane]))
+        simulator.reset(before[block, :12, lane], float(before[block, workspace.TIME, lane]))
         functions = CompiledFunctions(scene, self._nouns)
         while True:
             if actions is not None:
@@ -331,7 +331,7 @@ class ExactBatch:
         """The outcome of a step under ``actions``, which ends with the blocks ``after``."""
         made: Array | float = 1.0
         if self._repeat.steps > 1:
-            made = _column(after, glide.STEPS, self._count) - self._column(glide.STEPS)
+            made = _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS)
         durations = np.full(self._count, made * self._dt)
         infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
         rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
@@ -351,13 +351,13 @@ class ExactBatch:
         scenes = self._scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.scene_params, scenes.kinds[torque], *NO_PIECES)
-        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(glide.STEPS)))
+        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 
     def _infos(self, after: Array, reports: Array, made: Array | float, durations: Array) -> dict[str, NDArray[Any]]:
         return {
             "state": _states(after, self._count),
-            "time": _column(after, glide.TIME, self._count),
+            "time": _column(after, workspace.TIME, self._count),
             "torque": reports[:, score.REPORTED_TORQUE] / np.maximum(made, 1.0),
             "impacts": reports[:, score.REPORTED_HITS].astype(np.int64),
             "impulse": reports[:, score.REPORTED_IMPULSE].copy(),
