@@ -121,7 +121,7 @@ def test_vectors_of_single_environments_do_the_same(contact: str) -> None:
 def test_a_rule_that_only_the_batch_follows_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     settings: dict[str, Any] = {"contact": "exact", "observation": "landing", **LANDINGS}
     batch, alone = JackInBoxVectorEnv(1, **settings), made(**settings)
-    alone.unwrapped.repeat = alone.unwrapped.repeat._replace(resting=0)  # type: ignore[attr-defined]
+    alone.unwrapped.repeat = alone.unwrapped.repeat._replace(max_contact_steps=0)  # type: ignore[attr-defined]
     with pytest.raises(AssertionError):
         assert_alike(batch, [alone], drawn(batch.single_action_space, 20, 1))
 

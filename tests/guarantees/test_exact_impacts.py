@@ -55,7 +55,7 @@ def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatc
     # Resolved one by one, two feet on a floor give another, also energy-keeping, answer.
     def one_by_one(n: Any, w: Any, count: int) -> None:
         for number in range(count):
-            w.impulses[number] = contact.bounce(n, w.state, w.gradients[number])
+            w.contacts.impulses[number] = contact.bounce(n, w.state, w.contacts.gradients[number])
 
     rng = np.random.default_rng(2)
     state, contacts = several_contacts(WEIGHTLESS, rng, "one wall")
