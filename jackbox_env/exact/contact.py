@@ -12,8 +12,7 @@ to v in the cone w v >= 0. Contacts of a jack and a square have rank 3 at most, 
 of one, two and three contacts.
 
 A foot touches within the tolerance of :class:`ContactTolerances`, and contacts within its resolution are simultaneous.
-Both start at the rounding of a gap and grow with the impacts of a step up to :func:`deepest`, so that a jack that rests
-or slides costs thousands of impacts, not millions.
+With loss the resolution grows with the impacts of a step, up to :func:`deepest`.
 """
 
 from __future__ import annotations

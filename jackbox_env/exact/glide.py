@@ -135,7 +135,7 @@ def mark_near(dt: float, block: Block) -> None:
 
 
 def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
-    """Remove the mark of rows whose feet stay off every wall: ``bounds.walls_in_reach``, many rows at a time.
+    """Remove the mark of rows whose feet stay off every wall: ``search.walls_in_reach``, many rows at a time.
 
     The marked rows are first gathered at the front; a gathered row never overwrites one still to be read.
     """
@@ -230,7 +230,7 @@ def glide_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block,
 
 
 def enter_frames(block: Block) -> None:
-    """Copy the states to ``after``, in frames at the boxes' centres; the jacks' centres go to the first two lanes."""
+    """Copy the states to ``after``, in frames at the boxes' centres; the jacks' centres go to two rows of scratch."""
     before, after, count = block.before, block.after, block.size
     x, y = block.scratch[0], block.scratch[1]
     for k in range(count):

@@ -134,7 +134,7 @@ def settle(
         piece: what acts on the box.
         flight: motion from this state on.
         horizon: how far the search for an impact went [s]; it bounds the rate of a foot at rest.
-        touch: when feet touch.
+        tolerances: when feet touch.
         resolution: gap within which feet may rest [m].
 
     Returns:
@@ -300,7 +300,7 @@ def advance_held(
         memory: with the state, the drive's polynomials and the pairs that are held.
         log: filled with impacts.
         piece: what acts on the box.
-        touch: when feet touch.
+        tolerances: when feet touch.
         resolution: gap within which contacts are simultaneous [m].
         since: [s] after the piece's start.
         held: the pairs that are held, as bits.

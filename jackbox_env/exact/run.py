@@ -80,7 +80,7 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 scenes.scene_params[number if scenes.scene_params.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
-            if k > 0 and skip_rest(call, block, k):
+            if k > 0 and skip_remaining_steps(call, block, k):
                 break
             # Move: rows in free flight together, then the others one by one.
             bad = set_torques(address, block, k)
@@ -223,7 +223,7 @@ def step_lanes(
     return Status.DONE, -1, recorded
 
 
-def skip_rest(call: Arguments, block: Block, k: int) -> bool:
+def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
     """Whether all rows of a block have stopped before step ``k``; then copies them to where the last step would."""
     if call.rules.continue_after_done or call.results.trajectories.shape[0]:
         return False

@@ -107,7 +107,7 @@ def step(
 
     Args:
         scene: the scene.
-        plan: what all steps have in common.
+        params: what all steps have in common.
         before: the state, in the first 12 numbers.
         after: written with the new state; may be ``before``.
         time: at the step's start [s].

@@ -184,7 +184,7 @@ def change_rates(
         frame: of that state.
         rate: of the gap [m/s].
         impulse: of the impact [N s].
-        admittance: J M^-1 J^T.
+        inverse_effective_mass: J M^-1 J^T.
         d: the column, already at the moment of impact.
     """
     nx, ny, box_arm, jack_arm = row[X_BOX], row[Y_BOX], row[THETA_BOX], row[THETA_JACK]
