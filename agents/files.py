@@ -1,4 +1,4 @@
-"""Reading files that may be damaged, importing objects by name, and locking folders; for runs, policies and sweeps.
+"""Reading files that may be damaged, and locking folders; for runs, policies and sweeps.
 
 A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
 :mod:`jackbox_env.tools.files` writes files.
@@ -6,16 +6,12 @@ A folder is locked by a system lock on its file ``lock`` (filelock), which ends 
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import io
 import json
 import sys
-import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -64,81 +60,6 @@ def as_value_error(problem: str) -> Iterator[None]:
         yield
     except Exception as error:
         raise ValueError(f"{problem}: {first_line(error)}") from error
-
-
-trusted = set[str]()  # names of objects
-_received = dict[str, Path]()  # files of other machines by their paths there
-
-
-def is_object(value: Any) -> bool:
-    """Whether a setting names an object of one's own, ``file.py:name`` or ``module:name``."""
-    return isinstance(value, str) and ":" in value
-
-
-def trust_names(names: Iterable[str]) -> None:
-    """Allow :func:`imported` to run the code of these objects, in this process."""
-    trusted.update(names)
-
-
-def texts_of(names: Iterable[str]) -> dict[str, str]:
-    """The texts of the files among objects' names, by path, for :func:`receive` in another process."""
-    sources = {source for source, _, _ in (name.rpartition(":") for name in names) if source.endswith(".py")}
-    return {source: Path(source).read_text(encoding="utf-8") for source in sorted(sources)}
-
-
-def receive(texts: dict[str, str]) -> None:
-    """Let :func:`imported` use these texts of files, which this machine may lack or have in another version."""
-    for source, text in texts.items():
-        here = Path(source)
-        if not here.is_file() or here.read_text(encoding="utf-8") != text:
-            here = Path(_scratch().name) / hashlib.sha256(text.encode()).hexdigest()[:16] / here.name
-            here.parent.mkdir(exist_ok=True)
-            here.write_text(text, encoding="utf-8")
-        _received[source] = here
-
-
-@cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    """A folder that lasts as long as this process."""
-    return tempfile.TemporaryDirectory()
-
-
-def imported(name: str) -> Any:
-    """The object that ``file.py:name`` or ``module:name`` names, from a file or a module whose code runs once.
-
-    Raises:
-        ValueError: there is none, or it is not trusted.
-    """
-    if name not in trusted:
-        raise ValueError(f"{name} is code, which runs only with --trust")
-    source, _, attribute = name.rpartition(":")
-    with as_value_error(f"{name} cannot be imported"):
-        if source.endswith(".py"):
-            return getattr(_module_in(_received.get(source, Path(source)).resolve()), attribute)
-        return getattr(_module(source), attribute)
-
-
-@cache
-def _module_in(file: Path) -> Any:
-    spec: Any = importlib.util.spec_from_file_location(file.stem, file)
-    module = importlib.util.module_from_spec(spec)
-    with _importing_from(file.parent):
-        spec.loader.exec_module(module)
-    return module
-
-
-def _module(name: str) -> Any:
-    with _importing_from(Path.cwd()):
-        return importlib.import_module(name)
-
-
-@contextmanager
-def _importing_from(folder: Path) -> Iterator[None]:
-    sys.path.insert(0, str(folder))
-    try:
-        yield
-    finally:
-        sys.path.remove(str(folder))
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:

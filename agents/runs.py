@@ -3,6 +3,7 @@
 Training writes these files; evaluation, export and resuming read them.
 
 settings.json            resolved settings, from which a model is rebuilt
+code.json                texts of the user's files whose objects the settings name, by path, if there are any
 run.json                 command line, seed, versions, date
 checkpoints/ppo_N.zip    weights and optimiser after N steps
 best_model.zip           the best by the separate evaluation, and its mean return
@@ -29,11 +30,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from agents.files import DamagedFileError, parsing, read_bounded, report_skipped, unpacked
+from agents.files import DamagedFileError, as_value_error, parsing, read_bounded, read_json, report_skipped, unpacked
 from agents.settings import TrainSettings
+from agents.user_code import is_loaded, load, texts_of
+from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import write_json
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
+CODE = "code.json"
 BEST, MODEL = "best_model.zip", "model.zip"
 TRAINED_BY = "trained_by"  # attribute of a saved model: its settings
 _GROUPS = ("policy", "policy.optimizer")  # of parameters
@@ -77,6 +81,8 @@ def describe(folder: Path, settings: TrainSettings) -> None:
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     record = {"command": sys.argv, "seed": settings.seed, "started": started, "machine": machine()}
     write_json(folder / RUN, {**record, "versions": versions()})
+    if settings.objects:
+        write_json(folder / CODE, texts_of(settings.objects.values()))
     write_json(folder / SETTINGS, dataclasses.asdict(settings))  # last: a folder with settings is a run folder
 
 
@@ -92,6 +98,27 @@ def read_settings(folder: Path) -> TrainSettings:
         return TrainSettings.of(json.loads(read_bounded(path, _LARGEST_SETTINGS)))
     except (RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has no settings of a run: {error}") from error
+
+
+def trusted_settings(folder: Path, trust: bool) -> TrainSettings:
+    """Read the settings of a run, and load the objects that they name.
+
+    Args:
+        folder: of the run, or of an exported policy.
+        trust: run the code of these objects, with the texts that the folder has.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`read_settings`; or code would run that is neither trusted nor loaded,
+            or cannot.
+    """
+    settings = read_settings(folder)
+    names = list(settings.objects.values())
+    if not (trust or all(map(is_loaded, names))):
+        raise ValueError(f"{folder} runs code ({check.shown(names[0])}): if you trust its author, use --trust")
+    texts = read_json(folder / CODE) if names and (folder / CODE).is_file() else {}
+    with as_value_error(f"{folder} cannot be used"):
+        load(names, {str(path): str(text) for path, text in dict(texts).items()})
+    return settings
 
 
 # -- models ------------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import gymnasium as gym
 
-from agents.files import imported, is_object
+from agents.user_code import is_object, loaded
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.model.action import ACTIONS, repeat_of
@@ -61,13 +61,13 @@ def setting_of(keywords: dict[str, Any]) -> Setting:
 
 
 def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
-    """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``, whose code runs.
+    """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``.
 
     Raises:
-        ValueError: one cannot be imported, or is not trusted (:func:`agents.files.trust_names`).
+        ValueError: one is not loaded (:func:`agents.user_code.load`).
     """
     named = [name for name in (*NAMES, "scene", "randomize") if is_object(keywords.get(name))]
-    return {**keywords, **{name: imported(keywords[name]) for name in named}}
+    return {**keywords, **{name: loaded(keywords[name]) for name in named}}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class EnvSettings:
         check.known_keys("randomize", self.randomized, NUMBERS)
         for name in NAMES:
             if hasattr(self, name) and name not in self.objects:
-                check.choice(name, getattr(self, name), NAMES[name])
+                check.choice(name, getattr(self, name), [*NAMES[name], "file.py:name"])
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -137,7 +137,7 @@ class EnvSettings:
         """Keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
 
         Raises:
-            ValueError: a task of one's own cannot be imported, or is not trusted.
+            ValueError: a user's task is not loaded.
         """
         keywords = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
         return with_objects({**keywords, "scene": self.scene_fields, "randomize": self.randomized or None})

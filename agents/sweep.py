@@ -42,20 +42,17 @@ from agents.evaluation.returns import evaluate
 from agents.files import (
     DamagedFileError,
     first_line,
-    is_object,
     locked,
     parsing,
     read_json,
-    receive,
     report_skipped,
-    texts_of,
-    trust_names,
 )
-from agents.policies.registry import code_of, find_policy, with_chosen_env
+from agents.policies.registry import find_policy, is_function, runs_code, with_chosen_env
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
 from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
+from agents.user_code import is_object, load, texts_of
 from jackbox_env import FIDELITIES
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
@@ -64,6 +61,14 @@ SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _ROOT = Path(__file__).parents[1]
 _ENV, _TRAIN = ([part.name for part in fields(kind)] for kind in (EnvSettings, TrainSettings))
+
+
+class Code(NamedTuple):
+    """The code of users that the trials of a sweep may run."""
+
+    texts: dict[str, str]  # of files, by path
+    names: tuple[str, ...] = ()  # of objects and functions
+    trust: bool = False  # also pickled models, and objects that run folders name
 
 
 class Finished(NamedTuple):
@@ -178,15 +183,15 @@ def new_sweep(path: Path | None, trials: list[dict[str, Any]]) -> Path:
     for key, count in Counter(map(key_of, trials)).most_common(1) or [("any", 0)]:
         if count != 1:
             raise ValueError(f"a sweep must have at least one trial, and each once, got {count} times {key}")
-    files = texts_of(code_named(trials))
+    code = texts_of(code_named(trials))
     record = {
-        "command": sys.argv, "machine": machine(), "made_with": made_with(), "trials": trials, "files": files,
+        "command": sys.argv, "machine": machine(), "made_with": made_with(), "trials": trials, "code": code,
     }  # fmt: skip
     return new_folder(path, "sweep", lambda made: write_json(made / SWEEP, record))
 
 
-def read_sweep(folder: Path, trust: bool = False) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """The trials of a sweep, and the texts of files of code by path.
+def read_sweep(folder: Path, trust: bool = False) -> tuple[list[dict[str, Any]], Code]:
+    """The trials of a sweep, and the code that they may run.
 
     Args:
         folder: of the sweep.
@@ -200,20 +205,28 @@ def read_sweep(folder: Path, trust: bool = False) -> tuple[list[dict[str, Any]],
     record = read_json(folder / SWEEP)
     with parsing(folder / SWEEP):
         trials, other = [dict(settings) for settings in record["trials"]], differing(record["made_with"])
-        files = {str(path): str(text) for path, text in record["files"].items()}
-        code = code_named(trials)
-    if code and not trust:
-        raise ValueError(f"{folder} runs code ({check.shown(code[0])}): if you trust its author, use --trust")
+        texts = {str(path): str(text) for path, text in record["code"].items()}
+        names = code_named(trials)
+        running = [*names, *(trial["policy"] for trial in trials if runs_code(trial.get("policy", "")))]
+    if running and not trust:
+        raise ValueError(f"{folder} runs code ({check.shown(running[0])}): if you trust its author, use --trust")
     if other:
         raise ValueError(f"{folder} was begun with other code ({other}), so it cannot be continued: make another sweep")
-    return trials, files
+    return trials, Code(texts, tuple(names), trust)
 
 
 def code_named(trials: list[dict[str, Any]]) -> list[str]:
-    """Names of the objects, functions and pickled models that trials run."""
-    objects = {str(trial[name]) for trial in trials for name in NAMES if is_object(trial.get(name))}
-    policies = {str(trial["policy"]) for trial in trials if "policy" in trial}
-    return sorted(objects.union(*map(code_of, policies)))
+    """Names of the objects and functions of users that trials run.
+
+    Raises:
+        ValueError: one is of a module, whose text cannot be stored.
+    """
+    names = {str(trial[name]) for trial in trials for name in NAMES if is_object(trial.get(name))}
+    names |= {trial["policy"] for trial in trials if is_function(trial.get("policy", ""))}
+    for name in sorted(names):
+        if not name.rpartition(":")[0].endswith(".py"):
+            raise ValueError(f"a sweep stores the text of code, so its objects must be file.py:name, got {name}")
+    return sorted(names)
 
 
 def carry_out(
@@ -307,7 +320,7 @@ def grid(
     """
     check.whole("seeds", seeds, at_least=1, at_most=2**32)
     check.whole("episodes", episodes, at_least=2)
-    trust_names(filter(is_object, task))
+    load([*filter(is_object, task), *filter(is_function, policy)])
     environments = [_environment(*names) for names in product(task, setting, scene)]
     if train is not None:
         return [
@@ -338,7 +351,7 @@ def _environment(task: str, setting: str, scene: str) -> tuple[EnvSettings, dict
     keywords = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
     check.known_keys("setting", keywords, [name for name in (*_ENV, *NOUNS) if name not in ("task", "scene")])
     nouns = {name: keywords.pop(name) for name in NOUNS if name in keywords}
-    trust_names(filter(is_object, nouns.values()))
+    load(filter(is_object, nouns.values()))
     fields_of_scene = json.dumps(check.from_json("scene", scene, dict), sort_keys=True)
     settings = EnvSettings(task=task, scene=fields_of_scene, **keywords)
     environments = make_vec_env({**settings.env_settings, **with_objects(nouns)}, 1, 0)
@@ -356,20 +369,19 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
 
 
-def run_trial(folder: Path, files: dict[str, str], settings: dict[str, Any]) -> dict[str, Any]:
+def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, Any]:
     """Evaluate a policy, or train and evaluate the best model: columns of the table.
 
     Args:
         folder: of the sweep.
-        files: texts of files of code by path, as :func:`read_sweep` returns them; the trial's code may run.
+        code: that trials may run; settled before any of them has run.
         settings: the trial.
     """
-    receive(files)
-    trust_names(value for name, value in settings.items() if name in NAMES)
+    load(set(code_named([settings])).intersection(code.names), code.texts)
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
         nouns = with_objects({name: settings[name] for name in NOUNS if name in settings})
-        acting = find_policy(settings["policy"], env, starts, bool(code_of(settings["policy"])), nouns)
+        acting = find_policy(settings["policy"], env, starts, code.trust, nouns)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
         acting = find_policy(str(_trained(folder, env)), env)

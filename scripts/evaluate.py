@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from agents.files import trust_names
 from agents.settings import EnvSettings, SceneFields, scene_as_json
+from agents.user_code import load
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
 from jackbox_env.tools.files import check_new, check_writable, new_file, new_folder, write_json
@@ -89,15 +89,16 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     settings = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     _check(arguments)
-    trust_names(settings.objects.values())
+    load(settings.objects.values())
     progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env, note_other_environment
     from agents.evaluation.returns import evaluate, table
     from agents.policies.models import keywords_of
-    from agents.policies.registry import find_policy, with_chosen_env
+    from agents.policies.registry import find_policy, is_function, with_chosen_env
     from agents.runs import versions
     from agents.training.models import derived_seed
 
+    load(filter(is_function, arguments.policy))
     chosen = keywords_of(arguments.env)
     if (chosen or arguments.vecnormalize) and not any(map(with_chosen_env, arguments.policy)):
         raise ValueError(
@@ -119,7 +120,7 @@ def main() -> None:
 
         film_episode(acts, settings.env_settings, arguments.film, derived_seed("evaluation", arguments.seed))
     if arguments.json is not None:
-        results = [{**row.as_json(), "keywords": acts[row.policy].keywords} for row in rows]
+        results = [{**row.as_json(), "keywords": acts[row.policy].named} for row in rows]
         env = {**settings.env_settings, **settings.objects}
         record = {"env": env, "seed": arguments.seed, "versions": versions(), "results": results}
         with new_file(arguments.json) as partial:

@@ -16,6 +16,8 @@ class Arguments:
     """Run folder, or a model file in it."""
     folder: Path
     """New folder for settings.json, weights.npz and, if there are any, the training's learning curve and times."""
+    trust: bool = False
+    """Run the code of a task, observation or action of a user that the run folder names."""
 
 
 @command_line
@@ -29,11 +31,12 @@ def main() -> None:
     from agents.training.exporting import export_policy
     from jackbox_env.tools.files import new_folder
 
-    folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made))
+    folder = new_folder(arguments.folder, "export", lambda made: export_policy(arguments.run, made, arguments.trust))
     size = (folder / WEIGHTS).stat().st_size
     print(f"Written: {folder} ({size / 1000:.0f} kB of weights)")
-    options = read_settings(folder).options
-    print("  " + called("evaluate", *options, "--policy", "level", str(folder)))
+    settings = read_settings(folder)
+    trust = ["--trust"] if settings.objects else []
+    print("  " + called("evaluate", *settings.options, "--policy", "level", str(folder), *trust))
 
 
 if __name__ == "__main__":

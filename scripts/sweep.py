@@ -68,24 +68,25 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
-    from agents.files import texts_of
-    from agents.sweep import LOG, TABLE, carry_out, code_named, grid, new_sweep, read_sweep, run_trial
+    from agents.sweep import LOG, TABLE, Code, carry_out, code_named, grid, new_sweep, read_sweep, run_trial
     from agents.sweep_ray import runner_for
+    from agents.user_code import texts_of
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:
         raise ValueError("--train runs trainings in place of policies: leave out --policy")
     if arguments.resume is None:
         trials = grid(**asdict(arguments.grid), trust=arguments.trust)
-        folder, files = new_sweep(arguments.folder, trials), texts_of(code_named(trials))
+        folder = new_sweep(arguments.folder, trials)
+        code = Code(texts_of(code_named(trials)), tuple(code_named(trials)), arguments.trust)
     elif arguments.grid == Grid() and arguments.folder is None:
-        folder, (trials, files) = arguments.resume, read_sweep(arguments.resume, arguments.trust)
+        folder, (trials, code) = arguments.resume, read_sweep(arguments.resume, arguments.trust)
     else:
         raise ValueError("--resume continues the sweep of its folder: leave out other settings")
-    trust = ["--trust"] if code_named(trials) else []
+    trust = ["--trust"] if code.names or code.trust else []
     command = shlex.join(["python", "scripts/sweep.py", "--resume", str(folder), *trust])
     try:
-        rows = carry_out(folder, trials, partial(run_trial, folder.resolve(), files), runner, arguments.progress)
+        rows = carry_out(folder, trials, partial(run_trial, folder.resolve(), code), runner, arguments.progress)
     except KeyboardInterrupt:
         print(f"\nInterrupted. Continue with: {command}", file=sys.stderr)
         raise

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypedDict
 
-from agents.files import trust_names
-from agents.runs import RUN, describe, read_settings
+from agents.runs import RUN, describe, trusted_settings
 from agents.settings import SceneFields, TrainSettings, scene_as_json
+from agents.user_code import load
 from jackbox_env.tools.command_line import called, command_line, progress
 from jackbox_env.tools.files import new_folder
 
@@ -60,25 +60,22 @@ def main() -> None:
     chosen = replace(arguments.settings, scene=scene_as_json(arguments.settings.scene, arguments.scene_fields))
     progress("Loading PyTorch and Stable-Baselines3 ...")
     from agents.evaluation.provenance import describe_env
-    from agents.training.models import make_vec_env
+    from agents.training.models import try_out
     from agents.training.ppo import extended, train
 
-    trust_names(chosen.objects.values())
+    load(chosen.objects.values())
     if arguments.resume is not None:
         others = replace(chosen, total_steps=TrainSettings.total_steps)
         if others != TrainSettings() or arguments.folder is not None:
             raise ValueError("--resume uses the settings of its run folder: only --total-steps may be added")
-        folder, settings = arguments.resume, read_settings(arguments.resume)
-        if arguments.trust:
-            trust_names(settings.objects.values())
-        make_vec_env(settings.env_settings, 1, 0).close()  # raises before the run is changed
+        folder, settings = arguments.resume, trusted_settings(arguments.resume, arguments.trust)
         if not (folder / RUN).is_file():
             raise FileNotFoundError(f"{folder} is no training run: it has no {RUN}")
         if any(word.split("=")[0] in ("--total-steps", "--total_steps") for word in sys.argv):
             settings = extended(folder, chosen.total_steps)
     else:
         settings = chosen
-        make_vec_env(settings.env_settings, 1, 0).close()  # raises before there is a folder
+        try_out(settings)  # raises before there is a folder
         folder = new_folder(arguments.folder, settings.task.rpartition(":")[2], lambda made: describe(made, settings))
     trust = ["--trust"] if settings.objects else []
     print(f"Training on {describe_env(settings)}")

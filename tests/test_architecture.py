@@ -32,7 +32,7 @@ ORDER = """
     measure
     commands
     __main__
-    agents.files agents.settings agents.runs
+    agents.files agents.user_code agents.settings agents.runs
     agents.policies
     agents.training
     agents.evaluation

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 from agents.policies.registry import POLICIES, SCRIPTED
@@ -27,17 +29,16 @@ def note_other_environment(name: str, acting: PolicyWithEnv, here: EnvSettings) 
         print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
     trained = getattr(acting.policy, "settings", None)
     if trained is not None:
-        differing, verb = differences({**trained.env_settings, **trained.objects}, here), "was trained"
+        differing, verb = differences(trained.env_settings, here, trained.objects), "was trained"
     else:
-        differing, verb = differences({**here.env_settings, **here.objects, **acting.keywords}, here), "plays"
+        differing, verb = differences({**here.env_settings, **acting.keywords}, here), "plays"
     if differing:
         print(f"Note: {name} {verb} in another environment ({differing})", file=sys.stderr)
 
 
-def differences(keywords: dict[str, Any], here: EnvSettings) -> str:
-    """What differs in an environment of these keywords, in words."""
-    expected = {**here.env_settings, **here.objects}
-    names = [name for name, value in expected.items() if name not in KEYWORDS and keywords[name] != value]
+def differences(keywords: dict[str, Any], here: EnvSettings, objects: Mapping[str, str] = MappingProxyType({})) -> str:
+    """What differs in an environment of these keywords, in words; ``objects`` are names of some of the values."""
+    names = [name for name, value in here.env_settings.items() if name not in KEYWORDS and keywords[name] != value]
     setting = setting_of(keywords)
-    others = [f"{name} {check.shown(keywords[name])}" for name in names]
+    others = [f"{name} {check.shown(objects.get(name, keywords[name]))}" for name in names]
     return ", ".join([words(setting)] * (setting != here.setting) + others)

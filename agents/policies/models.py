@@ -20,9 +20,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import as_value_error, is_object, trust_names, unpacked
+from agents.files import as_value_error, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
 from agents.settings import EnvSettings, with_objects
+from agents.user_code import is_object
+from agents.user_code import load as load_code
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.tools import checks as check
@@ -136,7 +138,7 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
         with suppress(ValueError):
             keywords[name] = json.loads(value)
     check.known_keys("--env", keywords, _NAMES)
-    trust_names(filter(is_object, keywords.values()))
+    load_code(filter(is_object, keywords.values()))
     return with_objects(keywords)
 
 
@@ -166,8 +168,8 @@ def model_in_env(
             raise ValueError(
                 f"{file} was trained with a {name} that env.json cannot store: use --env {name}=file.py:name"
             )
-    trust_names(filter(is_object, stored["env"].values()))
     with as_value_error(f"{file} cannot be played as env.json or --env describe"):
+        load_code(filter(is_object, stored["env"].values()))
         keywords = with_objects({**PLAIN, **stored["env"], **settings.changed, **chosen})
         wrappers = [checked_wrapper(one) for one in stored["wrappers"]]
         env = gym.make("JackInBox-v0", **{**settings.env_settings, **keywords})

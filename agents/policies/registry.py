@@ -6,16 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.files import as_value_error, imported, trust_names
+from agents.files import as_value_error
 from agents.policies.models import load, model_in_env, stored_beside
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
-from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
+from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
 from agents.settings import EnvSettings, TrainSettings
+from agents.user_code import is_loaded, loaded
+from agents.user_code import load as load_code
 from jackbox_env import Scene
+from jackbox_env.tools import checks as check
 
 Maker = Callable[[EnvSettings, Scene, int], PolicyWithEnv]  # of the environment's settings, its scene, and a seed
 SCRIPTED: dict[str, Maker] = {
@@ -45,7 +48,8 @@ def find_policy(
         name: of the policy, or ``file.py:function`` that returns actions, (n,) or (n, size), for n observations.
         settings: of the environment that it plays in.
         seed: of what it draws.
-        trust: unpickle a model that has no settings.json, and run the code that its settings or its env.json name.
+        trust: unpickle a model that has no settings.json, and run the code that its settings, its env.json or the name
+            of a function name; without it they must be loaded already (:func:`agents.user_code.load`).
         chosen: keywords of the environment of such a model or function, over those that env.json has.
         vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
@@ -58,8 +62,10 @@ def find_policy(
     if name in shipped_names(settings.task):
         return _read(SHIPPED / f"{settings.task}-{name}")
     if is_function(name):
-        trust_names([name])
-        return PolicyWithEnv(StatelessPolicy(imported(name)), {**PLAIN, **(chosen or {})})
+        load_code([name] if trust and not is_loaded(name) else [])
+        if not callable(function := loaded(name)):
+            raise ValueError(f"a policy must be a function of observations, got {name}, {check.shown(function)}")
+        return PolicyWithEnv(StatelessPolicy(function), {**PLAIN, **(chosen or {})})
     if not Path(name).exists():
         known = ", ".join((*POLICIES, *shipped_names(settings.task)))
         raise FileNotFoundError(
@@ -68,14 +74,11 @@ def find_policy(
     exported = (Path(name) / WEIGHTS).is_file()
     file = Path(name) if exported else model_in(Path(name))
     folder = run_folder(file)
-    objects = read_settings(folder).objects.values() if folder else ()
-    trust_names(objects if trust else ())
-    for one in objects:
-        imported(one)  # raises in its own words
+    settings_of_run = trusted_settings(folder, trust) if folder else None
     if exported:
         return _read(file)
-    if folder is not None:
-        return _network(file, lambda: (read_settings(folder), read_parameters(file)["policy"]))
+    if settings_of_run is not None:
+        return _network(file, lambda: (settings_of_run, read_parameters(file)["policy"]))
     if not trust:
         raise FileNotFoundError(
             f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
@@ -85,6 +88,7 @@ def find_policy(
     trained_by = getattr(model, TRAINED_BY, None)
     if trained_by is None or stored or chosen or vecnormalize:
         return model_in_env(file, model, stored, settings, chosen or {}, vecnormalize)
+    load_code(TrainSettings.of(trained_by).objects.values())
     return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
 
 
@@ -93,10 +97,10 @@ def with_chosen_env(name: str) -> bool:
     return is_function(name) or (Path(name).is_file() and run_folder(Path(name)) is None)
 
 
-def code_of(name: str) -> list[str]:
-    """The code of its author that a policy runs: it is a function or a model file, or its settings name objects."""
+def runs_code(name: str) -> bool:
+    """Whether a policy runs code of its author: it is a function or a model file, or its settings name objects."""
     folder = run_folder(Path(name)) if Path(name).exists() else None
-    return [name] if with_chosen_env(name) else list(read_settings(folder).objects.values()) if folder else []
+    return with_chosen_env(name) or (folder is not None and bool(read_settings(folder).objects))
 
 
 def is_function(name: str) -> bool:
@@ -121,5 +125,5 @@ def _read(folder: Path) -> PolicyWithEnv:
 
 def shipped_names(task: str) -> list[str]:
     """Names of the trained policies for a task that come with the repository."""
-    folders = [path for path in SHIPPED.glob(f"{task}-*") if not (path / VALUE).is_file()]
+    folders = [path for path in SHIPPED.iterdir() if path.name.startswith(f"{task}-") and not (path / VALUE).is_file()]
     return sorted(path.name.removeprefix(f"{task}-") for path in folders)

@@ -41,6 +41,13 @@ class PolicyWithEnv(NamedTuple):
     policy: Policy
     keywords: dict[str, Any]
 
+    @property
+    def named(self) -> dict[str, Any]:
+        """The keywords, with the names of a user's objects if the settings of the policy have them."""
+        settings = getattr(self.policy, "settings", None)
+        objects = {} if settings is None else settings.objects
+        return {name: objects.get(name, value) for name, value in self.keywords.items()}
+
 
 class StatelessPolicy:
     """A policy without memory; subclasses, or the function ``act``, choose the actions.

@@ -6,16 +6,18 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.files import as_value_error
-from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder
+from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, run_folder, trusted_settings
 from agents.settings import TrainSettings
 from jackbox_env.model.action import action_of
 from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
+from jackbox_env.tools import checks as check
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:
@@ -29,6 +31,16 @@ def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecE
     environments = make_sb3_vec_env(num_envs, **env_settings)
     environments.seed(seed)
     return environments
+
+
+def try_out(settings: TrainSettings) -> None:
+    """Make and reset an environment of a training, which raises for what cannot be trained."""
+    environments = make_vec_env(settings.env_settings, 1, 0)
+    space = environments.action_space
+    if isinstance(space, gym.spaces.Box) and not space.is_bounded():
+        raise ValueError(f"PPO needs an action within finite bounds, got {check.shown(space)}")
+    environments.reset()
+    environments.close()
 
 
 def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
@@ -64,7 +76,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
     return model
 
 
-def load_model(path: Path) -> PPO:
+def load_model(path: Path, trust: bool = False) -> PPO:
     """Load a run folder's best model (else its last), or a model file in a run folder, to train or evaluate it further.
 
     The model is built from the run's settings.json and reads only tensors from the zip: nothing is unpickled, so an
@@ -73,6 +85,7 @@ def load_model(path: Path) -> PPO:
     Args:
         path: run folder, or a .zip in it (or in a folder below it). A damaged best model in a run folder is skipped,
             with a note on standard error.
+        trust: run the code of a task, observation or action of a user that the settings name.
 
     Raises:
         FileNotFoundError: there is no model, or no settings.json above it.
@@ -82,7 +95,7 @@ def load_model(path: Path) -> PPO:
     folder = run_folder(file)
     if folder is None:
         raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
-    settings = read_settings(folder)
+    settings = trusted_settings(folder, trust)
     with as_value_error(f"{folder / SETTINGS} makes no model"):
         model = make_ppo(settings, make_vec_env(settings.env_settings, 1, settings.seed))
     with as_value_error(f"{file} is no model of the settings beside it"):

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from agents import user_code
 from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
-from agents.files import trusted
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
@@ -97,23 +97,86 @@ def test_a_planner_among_varied_scenes_is_noted(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().err.startswith("Note: planner plans in the scene that is given")
 
 
-def test_a_task_and_an_observation_of_a_file_train_and_play_and_run_only_if_trusted(tmp_path: Path) -> None:
+def test_a_task_and_an_observation_of_a_file_train_and_play_and_run_only_if_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forget() -> None:
+        """As in a new process."""
+        monkeypatch.setattr(user_code, "_loaded", {})
+
     (tmp_path / "mine.py").write_text(MINE.format(value=1.0))
     names = ["--task", "mine.py:task", "--observation", "mine.py:angle", "--action", "torque"]
     script("train", *names, "--total-steps", "64", "--num-envs", "2", "--folder", "run", "--no-progress", cwd=tmp_path)
     play = ["--task", "mine.py:task", "--policy", "level", "planner-fast", "run", "--episodes", "2"]
-    said = script("evaluate", *play, cwd=tmp_path).stderr  # the names were trusted by the training in this process
-    assert "Note" not in said
-    trusted.clear()
-    for name, arguments in (("evaluate", play), ("train", ["--resume", "run", "--total-steps", "128"])):
-        refused = script(name, *arguments, cwd=tmp_path, status=2).stderr
-        assert refused == "mine.py:angle is code, which runs only with --trust\n"
-    script("train", "--resume", "run", "--total-steps", "128", "--trust", "--no-progress", cwd=tmp_path)
-    trusted.clear()
-    script("evaluate", *play, "--trust", "--json", "returns.json", cwd=tmp_path)
-    record = json.loads((tmp_path / "returns.json").read_text())
-    assert record["env"]["task"] == "mine.py:task"
+    assert "Note" not in script("evaluate", *play, "--trust", "--json", "one.json", cwd=tmp_path).stderr
+    record = json.loads((tmp_path / "one.json").read_text())
+    assert (record["env"]["task"], record["results"][2]["keywords"]["observation"]) == ("mine.py:task", "mine.py:angle")
     assert len({row["mean"] for row in record["results"]}) == 3
+    for name, arguments in (
+        ("evaluate", ["--policy", "run"]),
+        ("train", ["--resume", "run", "--total-steps", "128"]),
+        ("export", ["run", "arrays"]),
+    ):
+        forget()
+        refused = script(name, *arguments, cwd=tmp_path, status=2).stderr
+        assert refused == "run runs code ('mine.py:task'): if you trust its author, use --trust\n"
+    # The run has the text that it was trained with, wherever it is used; two texts under one name are refused.
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "mine.py").write_text(MINE.format(value=900.0))
+    script("export", "../run", "../arrays", "--trust", cwd=tmp_path / "elsewhere")
+    means = []
+    for folder, *policies in (("elsewhere", "../run", "../arrays"), (".", "run")):
+        forget()
+        again = ["--policy", *policies, "--episodes", "2", "--trust", "--json", "again.json"]
+        noted = script("evaluate", *again, cwd=tmp_path / folder).stderr
+        assert f"{policies[0]} was trained in another environment (task 'mine.py:task')" in noted
+        means += [row["mean"] for row in json.loads((tmp_path / folder / "again.json").read_text())["results"]]
+    assert len(set(means)) == 1
+    forget()
+    refused = script("evaluate", *play[:3], "../run", "--trust", cwd=tmp_path / "elsewhere", status=2).stderr
+    assert refused.startswith("../run cannot be used: ValueError: mine.py has two versions here")
+    script("train", "--resume", "run", "--total-steps", "128", "--trust", "--no-progress", cwd=tmp_path)
+
+
+def test_files_of_one_name_have_different_neighbours_and_dataclasses_work(tmp_path: Path) -> None:
+    for folder, value in (("a", 1.0), ("b", 2.0)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "neighbour.py").write_text(f"VALUE = {value}\n")
+        (tmp_path / folder / "mine.py").write_text(
+            "from __future__ import annotations\nfrom dataclasses import dataclass\nfrom neighbour import VALUE\n"
+            "@dataclass\nclass Number:\n    value: float = VALUE\n"
+        )
+    names = [f"{tmp_path}/{folder}/mine.py:Number" for folder in ("a", "b")]
+    user_code.load(names)
+    assert [user_code.loaded(name)().value for name in names] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["train", "--action", "bad.py:endless"], "PPO needs an action within finite bounds"),
+        (["train", "--task", "bad.py"], "task must be one of 'juggle', 'spin', 'rattle', 'file.py:name', got"),
+        (["train", "--task", "bad.py:shape"], "(12,)"),
+        (
+            ["evaluate", "--policy", "bad.py:number"],
+            "a function of observations, got bad.py:number, 3",
+        ),
+        (["sweep", "--task", "bad:fine", "--policy", "level"], "so its objects must be file.py:name, got bad:fine"),
+    ],
+)
+def test_objects_that_cannot_be_used_are_refused_before_there_is_a_folder(
+    tmp_path: Path, arguments: list[str], named: str
+) -> None:
+    (tmp_path / "bad.py").write_text(
+        "import gymnasium, numpy as np\nfrom jackbox_env import Action, Task\nnumber = 3\n"
+        "line = gymnasium.spaces.Box(-np.inf, np.inf, (1,))\n"
+        "endless = Action(line, lambda scene, state, action, time, dt: action[0])\n"
+        "fine = Task(('a',), lambda scene, state, torque, impulse: 0.0)\n"
+        "shape = Task(('a',), lambda scene, state, torque, impulse: 0.0, start=lambda scene, rng: np.zeros(3))\n"
+    )
+    done = script(*arguments, *["--folder", "new"] * (arguments[0] != "evaluate"), cwd=tmp_path, status=2)
+    assert named in done.stderr
+    assert {path.name for path in tmp_path.iterdir()} <= {"bad.py", "__pycache__"}
 
 
 def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ def test_a_function_is_a_policy(tmp_path: Path) -> None:
         assert (row["episodes"], row["environments"]) == (3, 3)
         assert 0.0 < row["mean"] < 500.0
     with pytest.raises(ValueError, match=r"mine.py:none cannot be imported: AttributeError"):
-        find_policy(f"{tmp_path}/mine.py:none", HERE)
+        find_policy(f"{tmp_path}/mine.py:none", HERE, trust=True)
 
 
 # -- env.json ----------------------------------------------------------------------------------------------------------

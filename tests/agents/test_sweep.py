@@ -22,7 +22,20 @@ from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
 from agents.settings import NOUNS, EnvSettings
-from agents.sweep import LOG, RUNS, SWEEP, TABLE, Runner, Work, carry_out, in_turn, new_sweep, on_cores, read_sweep
+from agents.sweep import (
+    LOG,
+    RUNS,
+    SWEEP,
+    TABLE,
+    Code,
+    Runner,
+    Work,
+    carry_out,
+    in_turn,
+    new_sweep,
+    on_cores,
+    read_sweep,
+)
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import ROOT, script
 
@@ -115,7 +128,7 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, known = new_sweep(tmp_path / "sweep", GRID), sweep.made_with()
-    assert read_sweep(folder) == (GRID, {})
+    assert read_sweep(folder) == (GRID, Code({}))
     with pytest.raises(FileExistsError, match="sweep exists, and is never overwritten"):
         new_sweep(folder, GRID)
     with locked(folder), pytest.raises(FolderInUseError, match="is in use by another process"):

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from agents.files import texts_of
-from agents.sweep import TABLE, carry_out, code_named, grid, in_turn, new_sweep, run_trial
+from agents.sweep import TABLE, Code, carry_out, code_named, grid, in_turn, new_sweep, run_trial
 from agents.sweep_ray import runner_for
+from agents.user_code import texts_of
 from jackbox_env.exact import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweep import MINE, carried_out
@@ -56,9 +56,9 @@ def test_policies_trainings_and_users_code_give_the_same_table_as_in_one_process
         episodes=2,
     )
     trials = [*grid(**sides, setting=("exact", "balanced"), seeds=2, episodes=2), *users, small]
-    files = texts_of(code_named(trials))
+    code = Code(texts_of(code_named(trials)), tuple(code_named(trials)))
     for name, runner in (("alone", in_turn), ("cluster", runner_for(None, cluster.address))):
-        work = partial(run_trial, new_sweep(tmp_path / name, trials), files)
+        work = partial(run_trial, new_sweep(tmp_path / name, trials), code)
         assert not any(row["error"] for row in carry_out(tmp_path / name, trials, work, runner, progress=False))
     assert (tmp_path / "alone" / TABLE).read_bytes() == (tmp_path / "cluster" / TABLE).read_bytes()
 

@@ -23,7 +23,7 @@ from agents.policies.network import WEIGHTS, read_policy
 from agents.policies.registry import find_policy
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import EnvSettings, TrainSettings
-from agents.sweep import LOG, TABLE, carry_out, in_turn, new_sweep
+from agents.sweep import LOG, SWEEP, TABLE, carry_out, in_turn, new_sweep, read_sweep, run_trial
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 
@@ -201,6 +201,32 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     with contextlib.suppress(Exception):  # it may or may not load after what it did
         find_policy(str(shared), EnvSettings(), trust=True)
     assert witness.exists()
+
+
+# -- sweeps -----------------------------------------------------------------------------------------------------------
+
+
+def test_what_becomes_code_after_a_sweep_was_read_does_not_run(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if an earlier trial had removed a folder, whose name then is a function's, and a settings file."""
+    monkeypatch.chdir(saved)
+    Path("f.py:act").mkdir()
+    trials = [{"policy": "f.py:act", **asdict(EnvSettings()), "seed": 0, "episodes": 2}]
+    trials.append({**trials[0], "policy": "model.zip"})
+    record = json.loads((new_sweep(Path("sweep"), trials) / SWEEP).read_text())
+    record["code"] = {"f.py": "import pathlib\npathlib.Path('ran').touch()\ndef act(seen): return seen[:, :1]"}
+    (Path("sweep") / SWEEP).write_text(json.dumps(record))
+    _, code = read_sweep(Path("sweep"))
+    Path("f.py:act").rmdir()
+    Path("settings.json").unlink()
+    for trial, said in zip(trials, ("f.py:act is code, which runs only with --trust", "use --trust"), strict=True):
+        with pytest.raises((ValueError, FileNotFoundError), match=said):
+            run_trial(Path("sweep"), code, trial)
+    assert not Path("ran").exists()
+    with pytest.raises(ValueError, match="sweep runs code"):
+        read_sweep(Path("sweep"))
+    _, code = read_sweep(Path("sweep"), trust=True)
+    assert run_trial(Path("sweep"), code, trials[0])["mean"]
+    assert Path("ran").exists()
 
 
 # -- links and damaged lines ------------------------------------------------------------------------------------------
