@@ -6,6 +6,7 @@ import doctest
 import importlib
 import json
 import math
+import pickle
 import re
 import shutil
 import subprocess
@@ -15,6 +16,9 @@ from pathlib import Path
 import pytest
 
 import jackbox_env
+from jackbox_env.model.action import ACTIONS
+from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.tasks import TASKS
 from scripts.recipes.run import HERE, RECIPES
 from scripts.studies import readme
 
@@ -248,3 +252,11 @@ def test_every_recipe_is_run_and_shown() -> None:
         assert f"../scripts/recipes/{path.name}" in page
     zoo = RECIPES["rl_zoo3"].arguments
     assert "python " + " ".join(zoo[: zoo.index("-n")]) in page
+
+
+def test_pickles_of_the_places_before_the_packages_load() -> None:
+    objects = (jackbox_env.Scene(gravity=3.0), jackbox_env.State(*range(12)), *TASKS.values(), *ACTIONS.values())
+    for value in (*objects, *OBSERVATIONS.values()):
+        text = pickle.dumps(value, protocol=0)
+        assert b"jackbox_env.model." in text
+        assert pickle.loads(text.replace(b"jackbox_env.model.", b"jackbox_env.")) == value

@@ -14,7 +14,7 @@ box's angular velocity and acceleration, n is a wall's normal, l E and l D are a
 
 Method: these are sums and products, and cosines that obey c' = -s psi', so each power of time follows from those before
 it (Taylor's method; Jorba and Zou 2005, Experimental Mathematics 14, 99). Powers are of u = s / T in [0, 1] over a
-stretch of T [s], velocities are per unit of u. Walls do not move the common centre of mass, which falls as if alone.
+stretch of T [s], velocities are per unit of u. Walls do not move the common centre of mass.
 Order: 12 in the accelerations; a stretch is halved until its last powers are rounding.
 Cost: some 2 microseconds a stretch, which is a whole control step unless something turns fast.
 """
@@ -23,7 +23,18 @@ from __future__ import annotations
 
 import math
 
-from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, SHARES, TURN, Flight, Piece, excursion, held_view, horner
+from jackbox_env.exact.flight import (
+    DEGREE,
+    PUSH_X,
+    PUSH_Y,
+    RECIPROCALS,
+    TURN,
+    Flight,
+    Piece,
+    excursion,
+    held_view,
+    horner,
+)
 from jackbox_env.exact.geometry import View, cos_sin, on_axes, quarter
 from jackbox_env.exact.workspace import (
     ALPHA,
@@ -147,7 +158,7 @@ def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) 
             y -= pliancy * n_y * series[FORCE + contact, k]
         x += product(held, ALPHA, POSITION_Y, k)
         y -= product(held, ALPHA, POSITION_X, k)
-        share, later = SHARES[k], SHARES[k + 1]
+        share, later = RECIPROCALS[k], RECIPROCALS[k + 1]
         series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for index in range(3):
@@ -250,9 +261,9 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
 def turn(held: HeldFeet, k: int) -> None:
     """Fill in the next powers of the box's rotation, from power k of its angular acceleration."""
     series = held.series
-    share = SHARES[k]
+    share = RECIPROCALS[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
-    series[TURNED, k + 2] = SHARES[k + 1] * series[OMEGA, k + 1]
+    series[TURNED, k + 2] = RECIPROCALS[k + 1] * series[OMEGA, k + 1]
     series[BOX_COSINE, k + 1] = -share * product(held, BOX_SINE, OMEGA, k)
     series[BOX_SINE, k + 1] = share * product(held, BOX_COSINE, OMEGA, k)
 
@@ -326,7 +337,7 @@ def curvature_while_held(scene: SceneNumbers, held: HeldFeet, length: float) -> 
 def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, s: float) -> None:
     """Move the state ``s`` [s] along a stretch with held feet; ``free`` is the flight without them, for the drive.
 
-    The common centre of mass falls freely, and the powers place box and jack about it.
+    The common centre of mass moves under gravity and side forces alone, and the powers place box and jack about it.
     """
     series = memory.held.series
     state, u = memory.state, s / flight.half

@@ -47,7 +47,7 @@ TURN, PUSH_X, PUSH_Y = range(3)
 POWERS = 16  # stored of each polynomial
 DEGREE = 12  # of a polynomial before it is integrated
 PIECES_PER_TURN = 6
-SHARES = 1.0 / np.arange(1.0, POWERS + 1.0)  # of integrated powers; a product is faster than a quotient
+RECIPROCALS = 1.0 / np.arange(1.0, POWERS + 1.0)  # of integrated powers; a product is faster than a quotient
 TABLE_WIDTH = 2 + 3 * (DEGREE + 1)  # of a row: start and length [s], powers of torque [N m] and of both forces [N]
 
 
@@ -64,7 +64,7 @@ def integrate(memory: Workspace, axis: int, length: float) -> None:
     for order in range(2):
         start, sign = 0.0, -1.0
         for k in range(DEGREE + 1 + order):
-            power = 0.5 * length * memory.powers[3 * axis + order, k] * SHARES[k]
+            power = 0.5 * length * memory.powers[3 * axis + order, k] * RECIPROCALS[k]
             memory.powers[3 * axis + order + 1, k + 1] = power
             start += sign * power
             sign = -sign
@@ -89,8 +89,8 @@ def chirp_piece(
     before_s = before_c = 0.0
     for k in range(DEGREE + 1):
         memory.powers[3 * TURN, k] = peak * s
-        next_s = (a * c + b2 * before_c) * SHARES[k]
-        next_c = -(a * s + b2 * before_s) * SHARES[k]
+        next_s = (a * c + b2 * before_c) * RECIPROCALS[k]
+        next_c = -(a * s + b2 * before_s) * RECIPROCALS[k]
         before_s, before_c, s, c = s, c, next_s, next_c
     integrate(memory, TURN, length)
 

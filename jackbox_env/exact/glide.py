@@ -20,7 +20,7 @@ from jackbox_env.exact.workspace import (
     ASIDE,
     CLEAR,
     FALL,
-    HIT,
+    HITS,
     IMPULSE_SUM,
     INERTIA,
     LANE_COSINE,
@@ -85,7 +85,7 @@ def glide_block(dt: float, block: Block) -> None:
         scratch[APPLIED],
         scratch[TORQUE],
     )
-    alpha, hits, impulses = scratch[TURNING], scratch[HIT], scratch[IMPULSE_SUM]
+    alpha, hits, impulses = scratch[TURNING], scratch[HITS], scratch[IMPULSE_SUM]
     for k in range(count):
         alpha[k] = applied[k] / inertia[k]
     for k in range(count):
@@ -220,7 +220,7 @@ def glide_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block,
         rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
         drift(block, scene.gravity, length, angle, rate)
-    torque, hits, impulses = scratch[TORQUE], scratch[HIT], scratch[IMPULSE_SUM]
+    torque, hits, impulses = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM]
     mean = scene.box_inertia * impulse / dt
     for k in range(count):
         torque[k] = mean

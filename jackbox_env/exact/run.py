@@ -20,7 +20,7 @@ from jackbox_env.exact.workspace import (
     ACTIONS,
     APPLIED,
     DECISIONS,
-    HIT,
+    HITS,
     IMPULSE_SUM,
     LIMIT,
     NEAR,
@@ -218,7 +218,7 @@ def step_lanes(
             recorded += memory.hits
         if nonsmooth.shape[0]:
             nonsmooth[row, k] = memory.nonsmooth != 0
-        scratch[HIT, lane], scratch[IMPULSE_SUM, lane] = memory.hits, memory.impulse
+        scratch[HITS, lane], scratch[IMPULSE_SUM, lane] = memory.hits, memory.impulse
         memory.work += effort(memory)
     return Status.DONE, -1, recorded
 
@@ -326,7 +326,7 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
 
 def stop_rows(rules: Rules, block: Block, made: int) -> None:
     """Stop the rows that an impact stops after ``made`` steps."""
-    separated, hits, over = block.scratch[SEPARATED], block.scratch[HIT], block.after[OVER]
+    separated, hits, over = block.scratch[SEPARATED], block.scratch[HITS], block.after[OVER]
     for k in range(block.size):
         separated[k] = 1.0 if hits[k] == 0.0 or (made > 1 and separated[k] != 0.0) else 0.0
         if over[k] == 0.0 and is_over(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
@@ -352,6 +352,6 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
                 energies[row, 0] = energy_of(row_scene, block.before[:, lane])
             energies[row, k + 1] = energy_of(row_scene, block.after[:, lane])
         if hits.shape[0] and block.before[OVER, lane] == 0.0:
-            hits[k, row], results.impulses[k, row] = int(block.scratch[HIT, lane]), block.scratch[IMPULSE_SUM, lane]
+            hits[k, row], results.impulses[k, row] = int(block.scratch[HITS, lane]), block.scratch[IMPULSE_SUM, lane]
         if lengths.shape[0] and results.terminations[row] and lengths[row] == steps:
             lengths[row] = k + 1

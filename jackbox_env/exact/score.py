@@ -19,7 +19,7 @@ import numpy as np
 
 from jackbox_env.exact.compiler import called_at, fixed_tuple
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
-from jackbox_env.exact.workspace import APPLIED, HIT, IMPULSE_SUM, OVER, TIME, TORQUE, make_numbers
+from jackbox_env.exact.workspace import APPLIED, HITS, IMPULSE_SUM, OVER, TIME, TORQUE, make_numbers
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total
@@ -288,7 +288,7 @@ def score_block(
         terminations: set where the task ends an episode, shape (N,).
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
-    torque, hits, impulses, unusable = scratch[TORQUE], scratch[HIT], scratch[IMPULSE_SUM], 0
+    torque, hits, impulses, unusable = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM], 0
     ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
     if not (several or waiting):
         scene = make_numbers(values[0])

@@ -8,9 +8,11 @@ o a foot from there, |o| = l. With |gap''| <= K until the horizon,
 
     gap(t + s) >= gap + gap' s - K s^2 / 2,
 
-so a walk to the first positive root of that parabola never passes an impact. It converges quadratically if the foot
-arrives at speed. If |r| + l < L throughout, no contact is possible and no gap is evaluated. In a box that turns far, K
-is large and many feet may reach many walls: :func:`first_impact_fast_rotation` then follows all of them at once.
+so a walk to the first positive root of that parabola never passes an impact by a foot that arrives. A foot that touches
+already and slides or leaves may get deeper, by at most ``contact.deepest``, and so may all feet while a step chatters:
+see :func:`search`. The walk converges quadratically if the foot arrives at speed. If |r| + l < L throughout, no contact
+is possible and no gap is evaluated. In a box that turns far, K is large and many feet may reach many walls:
+:func:`first_impact_fast_rotation` then follows all of them at once.
 
 Bounds: with upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of
 |omega_box|, |alpha_box| and |omega_jack - omega_box|, the second derivative of the gap obeys

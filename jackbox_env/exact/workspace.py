@@ -19,7 +19,7 @@ from jackbox_env.model.states import Array, Counts, Flags, Floats
 
 
 class Contacts(np.record):  # type: ignore[misc]
-    """Listed contacts: those that touch, or those of held feet. Coordinates are weighted by M^1/2 where it says so."""
+    """Contacts that touch, or those of held feet. "Weighted" means in the coordinates M^1/2 q."""
 
     pairs: Annotated[Counts, 17]  # 4 * wall + foot
     gaps: Annotated[Array, 17]  # [m]
@@ -84,7 +84,7 @@ OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
 # Rows of a block of environments, (WIDTH, width): the 12 numbers of the state, and these.
-TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended
+TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended, 2 if an impact has stopped the row
 DECISIONS = 15  # in the episode, counted if each has several steps
 WIDTH = 16
 WIDEST = 128  # environments in a block
@@ -98,7 +98,7 @@ ORDINARY = 5  # bound of ordinary numbers of the state, see ``glide.ordinary``
 SCENE_PARAMS = 6
 # Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
-NEAR, HIT, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
+NEAR, HITS, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
 # Rows of lanes near a wall, gathered at the front by ``glide.clear_marks_by_wall_distance``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
 LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)

@@ -281,7 +281,7 @@ def errors_of(name: str, quick: bool, cases: int) -> dict[str, Any]:
 
 
 def costs_of(quick: bool, cases: int, rounds: int, seconds: float) -> dict[str, Any]:
-    """The costs of all settings, and what the page says of the study."""
+    """The costs of all settings, and the settings of the study."""
     chosen = settings(quick)
     rates = measure({setting.name: cost_of(setting, seconds) for setting in chosen}, rounds)
     groups = []
