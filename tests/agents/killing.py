@@ -39,7 +39,7 @@ SMALL = TrainSettings(**SIZES, hidden_units=(8,))
 KILLS = int(os.environ.get("JACKBOX_KILLS", "3"))
 # Operations that change a disk, or decide what is on it, where our code does them itself or by pathlib.
 _WRITES = {"open", "write", "close", "fsync", "replace", "rename", "unlink", "mkdir", "flock"}
-_OURS = (f"{os.sep}agents{os.sep}", f"{os.sep}jackbox_env{os.sep}files.py", f"{os.sep}pathlib")
+_OURS = (f"{os.sep}agents{os.sep}", f"{os.sep}tools{os.sep}files.py", f"{os.sep}pathlib")
 
 
 def short_episodes(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:

@@ -30,6 +30,13 @@ class Uninterrupted(NamedTuple):
     operations: int  # on the disk
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _compiled(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Compiling would count as time and operations on the disk, and write large files."""
+    folder = tmp_path_factory.mktemp("compiled")
+    assert ended(start(killing.train, folder / "run", folder / "out.txt", 0)) == 0
+
+
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Uninterrupted:
     folder, began = tmp_path_factory.mktemp("uninterrupted"), time.monotonic()
