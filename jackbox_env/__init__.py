@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.rollouts import Rollout, rollout
-    from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
+    from jackbox_env.simulators import Impact, JackLostError, Simulator, StepResult, make_simulator
     from jackbox_env.simulators.fidelity import Setting
 
 __version__ = "0.1.0"
@@ -42,6 +42,7 @@ _LAZY = {
     "Linearization": "planning.linearization",
     "Observation": "model.observation",
     "Simulator": "simulators",
+    "StepResult": "simulators",
     "make_simulator": "simulators",
     "Recording": "measure.recordings",
     "Rollout": "planning.rollouts",
@@ -71,6 +72,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "State",
+    "StepResult",
     "Task",
     "TaskError",
     "cheapest",

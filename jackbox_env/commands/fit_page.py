@@ -125,8 +125,7 @@ def impact_times(scene: Scene, recording: Recording, motion: Array) -> list[floa
     torques = np.full(len(motion) - 1, None) if recording.torques is None else np.asarray(recording.torques).tolist()
     for step in np.flatnonzero(np.isfinite(motion[:-1] + motion[1:]).all(axis=1)):
         simulator.reset(motion[step], recording.time + step * recording.dt)
-        simulator.step(recording.dt, torques[step])
-        times += [hit.time for hit in simulator.impacts]
+        times += [hit.time for hit in simulator.step(recording.dt, torques[step]).impacts]
     return times
 
 

@@ -24,7 +24,7 @@ class ControlStep(NamedTuple):
     state: Array  # at its end, (12,)
     time: float  # at its end [s]
     torque: float  # mean [N m]
-    impacts: list[Impact]
+    impacts: Sequence[Impact]
     impulse: float  # [N s]
     terms: Sequence[float]  # of the reward
     reward: float
@@ -74,8 +74,7 @@ def _control_step(
     if controls is not None:
         share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
         torque = share * simulator.scene.torque_limit
-    simulator.step(dt, torque)
-    impacts, state, time, mean = simulator.impacts, simulator.state, simulator.time, simulator.torque
+    state, time, mean, impacts = simulator.step(dt, torque)
     impulse = total_impulse(impacts)
     observation, terms, over = functions.judge(state, time, mean, impulse, seen)
     return ControlStep(

@@ -22,7 +22,7 @@ from jackbox_env.model.observation import OBSERVATIONS, STATE, Observation, bad_
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, State
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
-from jackbox_env.simulators import Simulator, contact_model
+from jackbox_env.simulators import StepResult, contact_model
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
@@ -171,13 +171,12 @@ def tried(functions: Functions, state: Array, control_dt: float | None = None) -
             functions.share(state, action.checked(np.zeros(action.size) if action.size else 0)[:, 0], 0.0, control_dt)
 
 
-def bad_reward(task: Task, simulator: Simulator, where: str) -> TaskError:
-    """The error of the exact model's last step, whose reward is NaN or infinite."""
+def bad_reward(task: Task, scene: Scene, step: StepResult, where: str) -> TaskError:
+    """The error of a step of the exact model whose reward is NaN or infinite."""
     from jackbox_env.exact.score import score_one
 
-    terms, impulse = np.empty(len(task.terms)), total_impulse(simulator.impacts)
-    numbers = np.array(simulator.scene.numbers)
-    compiled_for(task, score_one)(numbers, simulator.state, simulator.torque, impulse, terms)
+    terms, numbers = np.empty(len(task.terms)), np.array(scene.numbers)
+    compiled_for(task, score_one)(numbers, step.state, step.torque, total_impulse(step.impacts), terms)
     try:
         checked_reward(task, terms.tolist())
     except TaskError as error:

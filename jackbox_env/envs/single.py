@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -250,7 +250,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer, self._frames = None, list[NDArray[np.uint8]]()
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
-        self._impacts: list[Impact] | None = None  # of the last decision; None: those of the last control step
+        self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps = list[ControlStep]()  # of the last decision, for recordings
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer

@@ -80,12 +80,12 @@ def between(simulator: Simulator, before: Array, time: float, torque: float | No
         time: the time before it [s].
         torque: constant through the step [N m]; None: the drive.
     """
-    scene, after = simulator.scene, simulator.state
-    again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
+    scene, after, impacts = simulator.scene, simulator.state, simulator.impacts
+    again = replayed(scene, before.tolist(), time, impacts, simulator.time, torque)
     depth = max(again.depth, -clearance(scene, after.tolist()))
     allowed = _REPLAY_TOLERANCE * scene.box_half_width
     if not scene.elastic:  # overlap is moved apart, by no more than there is, at each contact
-        allowed += (1 + len(simulator.impacts)) * max(depth, -clearance(scene, before.tolist()), 0.0)
+        allowed += (1 + len(impacts)) * max(depth, -clearance(scene, before.tolist()), 0.0)
     if not pose_errors(scene, np.array([again.state]), after[None])[0] <= allowed:
         return Between(math.nan, math.nan)
     return Between(depth, again.work)
@@ -116,15 +116,14 @@ def follow(simulator: Simulator, case: Case, inspect: Inspect | None = between) 
     escaped = False
     for number in range(case.steps):
         torque = None if case.torques is None else case.torques[number]
-        time = simulator.time
+        before, time = state, simulator.time
         try:
-            simulator.step(case.dt, torque)
+            state, _, _, hits = simulator.step(case.dt, torque)
         except JackLostError:
             escaped = True
             break
-        before, state = state, simulator.state
         states.append(state)
-        impacts += simulator.impacts
+        impacts += hits
         escaped = -clearance(scene, state.tolist()) > deepest_restored(scene)
         if inspect is not None:
             inside = inspect(simulator, before, time, torque)

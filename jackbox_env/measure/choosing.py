@@ -188,9 +188,9 @@ def _first_impacts(case: Case) -> list[Impact]:
     simulator = make_simulator(replace(case.scene, restitution=1.0), "exact")
     simulator.reset(case.state)
     for number in range(case.steps):
-        simulator.step(case.dt, None if case.torques is None else case.torques[number])
-        if simulator.impacts:
-            return [hit for hit in simulator.impacts if hit.time == simulator.impacts[0].time]
+        impacts = simulator.step(case.dt, None if case.torques is None else case.torques[number]).impacts
+        if impacts:
+            return [hit for hit in impacts if hit.time == impacts[0].time]
     return []
 
 

@@ -251,8 +251,8 @@ def run_rollouts(
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
             simulator.reset(blocks[step % 2, row // width, :12, row % width], at)
-            simulator.step(dt, torques[row, step // options.repeat])
-            raise bad_reward(task, simulator, f"step {step} of states[{row}]")
+            failed = simulator.step(dt, torques[row, step // options.repeat])
+            raise bad_reward(task, scene, failed, f"step {step} of states[{row}]")
         raise failure(ended, scene, at, dt, f"the jack of states[{row}]")
     hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:

@@ -168,16 +168,17 @@ def _simulated(game: Game) -> Iterator[tuple[int, float]]:
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:
-            simulator.step(game.dt, None if share is None else share * game.scene.torque_limit)
+            state, time, torque, impacts = simulator.step(
+                game.dt, None if share is None else share * game.scene.torque_limit
+            )
             work += simulator.evaluations
             if work > MOST_WORK:
                 raise JackLostError(f"the game needs more than {MOST_WORK:,.0f} gap evaluations")
         except JackLostError as error:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
-        for word in simulator.state.view(np.uint64).tolist():
+        for word in state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
-        impulse = total_impulse(simulator.impacts)
-        _, terms, _ = functions.judge(simulator.state, simulator.time, simulator.torque, impulse, seen=False)
+        _, terms, _ = functions.judge(state, time, torque, total_impulse(impacts), seen=False)
         yield number, total(terms)
 
 

@@ -93,10 +93,9 @@ def simulate(
     with _bar(range(max(1, round(seconds / dt))), progress) as steps:
         for number in steps:
             try:
-                simulator.step(dt, None if torques is None else torques[number])
+                recorder.add(*simulator.step(dt, None if torques is None else torques[number]))
             except JackLostError as error:
                 return recorder.trajectory(str(error))
-            recorder.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
     return recorder.trajectory()
 
 

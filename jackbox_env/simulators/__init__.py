@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from jackbox_env.model.scene import Scene
-from jackbox_env.simulators.base import Impact, JackLostError, Simulator
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult
 from jackbox_env.simulators.fidelity import Setting, resolve
 from jackbox_env.tools import checks as check
 
@@ -39,8 +39,7 @@ def make_simulator(
     """Make the simulator of a scene, by the same names as the environments.
 
     >>> simulator = make_simulator({"gravity": 1.62}, fidelity="exact")
-    >>> simulator.step(0.02, torque=0.0)
-    >>> simulator.time
+    >>> simulator.step(0.02, torque=0.0).time
     0.02
 
     Args:
@@ -68,4 +67,4 @@ def make_simulator(
     return model(scene, **chosen)
 
 
-__all__ = ["CONTACT_MODELS", "Impact", "JackLostError", "Simulator", "make_simulator"]
+__all__ = ["CONTACT_MODELS", "Impact", "JackLostError", "Simulator", "StepResult", "make_simulator"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from _thread import get_ident
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,8 +27,7 @@ class Impact(NamedTuple):
     >>> from jackbox_env import make_simulator
     >>> simulator = make_simulator({"drive": None}, contact="exact")
     >>> simulator.reset([0.0] * 12)  # the jack falls 5 m
-    >>> simulator.step(1.2)
-    >>> hit = simulator.impacts[0]
+    >>> hit = simulator.step(1.2).impacts[0]
     >>> round(hit.time, 6), hit.wall, hit.foot, round(hit.impulse, 2)
     (1.009638, 3, 3, 78.45)
 
@@ -56,7 +56,7 @@ def end_of_step(time: float, dt: float) -> float:
     return end
 
 
-def total_impulse(impacts: list[Impact]) -> float:
+def total_impulse(impacts: Sequence[Impact]) -> float:
     """Sum of the impulses [N s], added in order as the compiled code does."""
     impulse = 0.0
     for impact in impacts:
@@ -64,13 +64,20 @@ def total_impulse(impacts: list[Impact]) -> float:
     return impulse
 
 
-class Present(NamedTuple):
-    """A simulator's state and the results of its last step: assigned together, so an interrupt cannot separate them."""
+class StepResult(NamedTuple):
+    """The result of a step of a simulator, a named tuple.
 
-    state: Numbers  # 12 numbers, never written again
-    time: float  # [s]
-    torque: float = 0.0  # mean over the last step [N m]
-    impacts: tuple[Impact, ...] = ()  # of the last step
+    Attributes:
+        state: at the step's end, 12 numbers, SI units; a step returns a fresh float64 array.
+        time: at the step's end [s].
+        torque: mean on the box over the step [N m].
+        impacts: of the step, in time order.
+    """
+
+    state: Any  # an array, or Python's numbers, as the contact model computes with them
+    time: float
+    torque: float = 0.0
+    impacts: tuple[Impact, ...] = ()
 
 
 class Simulator(ABC):
@@ -83,12 +90,12 @@ class Simulator(ABC):
     >>> from jackbox_env import make_simulator
     >>> simulator = make_simulator({"gravity": 10.0}, contact="exact")
     >>> simulator.reset([0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # foot 3 is 0.1 m above wall 3, the floor
-    >>> simulator.step(0.02)
-    >>> [(impact.wall, impact.foot) for impact in simulator.impacts]
+    >>> state, time, torque, impacts = simulator.step(0.02)
+    >>> [(impact.wall, impact.foot) for impact in impacts]
     [(3, 3)]
 
-    A contact model of your own derives from this class and implements ``step``. Its ``__init__`` raises ValueError for
-    a scene that it cannot simulate.
+    A contact model of your own derives from this class and implements :meth:`stepped`, which returns the step's
+    :class:`StepResult`. Its ``__init__`` raises ValueError for a scene that it cannot simulate.
     """
 
     name: ClassVar[str]  # as in contact="..."
@@ -99,7 +106,8 @@ class Simulator(ABC):
     def __init__(self, scene: Scene, **settings: Any) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene, self._inside = scene, ThreadNote()
-        self._present = Present(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
+        # The state and the results of the last step: assigned together, so that an interrupt cannot separate them.
+        self._present = StepResult(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
 
     @property
     def state(self) -> Array:
@@ -129,23 +137,18 @@ class Simulator(ABC):
         """
         state = as_restored(self.scene, state)
         time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        self._enter()
+        if self._inside.setdefault(0, get_ident()) != get_ident():
+            raise in_use("a simulator")
         try:
-            self._present = Present(self._as_stored(state), time)
+            self._present = StepResult(self._as_stored(state), time)
         finally:
             self._inside.clear()
 
-    def _enter(self) -> None:
-        """Note this thread, or raise RuntimeError if another one is in the simulator."""
-        thread = get_ident()
-        if self._inside.setdefault(0, thread) != thread:
-            raise in_use("a simulator")
-
-    def snapshot(self) -> Present:
+    def snapshot(self) -> StepResult:
         """State, time and the results of the last step, for :meth:`restore`."""
         return self._present
 
-    def restore(self, snapshot: Present) -> None:
+    def restore(self, snapshot: StepResult) -> None:
         """Return to the moment of a :meth:`snapshot`."""
         self._present = snapshot
 
@@ -153,15 +156,44 @@ class Simulator(ABC):
         """A fresh state in the form in which the model stores it."""
         return state
 
-    @abstractmethod
-    def step(self, dt: float, torque: float | None = None) -> None:
+    def step(self, dt: float, torque: float | None = None) -> StepResult:
         """Advance by ``dt`` > 0 [s] under a constant ``torque`` on the box [N m], or under the scene's drive (None).
 
         ``torque`` replaces only the drive's torque. Its side forces act in any case.
 
+        Returns:
+            State and time at the step's end, its mean torque and its impacts.
+
         Raises:
             TypeError, ValueError: unusable values.
             JackLostError: the jack would leave the box, or cannot be followed. An error leaves the simulator unchanged.
+        """
+        if not (type(dt) is float and 0.0 < dt < math.inf):  # a plain float needs no more
+            dt = check.real("dt", dt, above=0.0)
+        if torque is not None and not (type(torque) is float and -math.inf < torque < math.inf):
+            torque = check.real("torque", torque)
+        inside, thread = self._inside, get_ident()
+        if inside.setdefault(0, thread) != thread:
+            raise in_use("a simulator")
+        try:
+            result = self.stepped(dt, torque)
+            if type(result) is not StepResult:
+                raise TypeError(f"{type(self).__name__}.stepped must return a StepResult, got {check.shown(result)}")
+            self._present = result
+        finally:
+            inside.clear()
+        state, time, mean, impacts = result
+        return StepResult(np.array(state), time, mean, impacts)
+
+    @abstractmethod
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
+        """The result of a step from the present state, which :meth:`step` then makes the present one.
+
+        A contact model implements it and changes nothing that a later step depends on. ``step`` has checked the
+        arguments; ``state`` and ``time`` are those before the step. The result's state is never written again.
+
+        Raises:
+            JackLostError: the jack would leave the box, or cannot be followed.
         """
 
     def _prepare(self) -> None:  # noqa: B027  # some have nothing to build

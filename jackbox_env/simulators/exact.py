@@ -30,7 +30,6 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 from __future__ import annotations
 
 import math
-from _thread import get_ident
 from collections.abc import Sequence
 from functools import cache
 from typing import cast
@@ -59,10 +58,8 @@ from jackbox_env.exact.workspace import (
 )
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
-from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.simulators.functions import function_pieces
-from jackbox_env.tools import checks as check
-from jackbox_env.tools.one_thread import in_use
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
 NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
@@ -131,21 +128,7 @@ class ExactSimulator(Simulator):
         self._prepare()
 
     @override
-    def step(self, dt: float, torque: float | None = None) -> None:
-        if not (type(dt) is float and 0.0 < dt < math.inf):  # a plain float needs no more
-            dt = check.real("dt", dt, above=0.0)
-        if torque is not None and not (type(torque) is float and -math.inf < torque < math.inf):
-            torque = check.real("torque", torque)
-        inside, thread = self._inside, get_ident()
-        if inside.setdefault(0, thread) != thread:
-            raise in_use("a simulator")
-        try:
-            self._step(dt, torque)
-        finally:
-            inside.clear()
-
-    def _step(self, dt: float, torque: float | None) -> None:
-        """Make a step with checked arguments."""
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
         present, held = self._present, torque is not None
         if torque is not None:
             self._control[0] = torque
@@ -164,7 +147,7 @@ class ExactSimulator(Simulator):
                 raise failure(ended, self.scene, present.time, dt)
             call = self._calls[into] = call.with_room()  # and repeat the step
         impacts = recorded(call.memory.log[:hits], present.time) if hits else ()
-        self._present = Present(self._states[into], present.time + dt, self._torques[into][0], impacts)
+        return StepResult(self._states[into], present.time + dt, self._torques[into][0], impacts)
 
     @property
     def evaluations(self) -> float:
@@ -178,7 +161,7 @@ class ExactSimulator(Simulator):
         super().reset(state, time)
 
     @override
-    def snapshot(self) -> Present:
+    def snapshot(self) -> StepResult:
         return self._present._replace(state=self.state)  # the block is overwritten by the next step but one
 
     def _as_stored(self, state: Array) -> Numbers:
@@ -198,7 +181,7 @@ class ExactSimulator(Simulator):
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
-        self._present = self._present._replace(state=self._as_stored(cast(Array, self._present.state)))
+        self._present = self._present._replace(state=self._as_stored(self._present.state))
 
     def _prepare_step(self, dt: float, torque: float | None) -> None:
         """Set the arguments of steps from one block to the other, and back."""

@@ -66,7 +66,7 @@ from jackbox_env.model.states import (
     clearance,
     deepest_restored,
 )
-from jackbox_env.simulators.base import JackLostError, Present, Simulator, end_of_step
+from jackbox_env.simulators.base import JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.simulators.contacts import Recorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
@@ -140,26 +140,14 @@ class PymunkSimulator(Simulator):
     # -- stepping -----------------------------------------------------------------------------------------------------
 
     @override
-    def step(self, dt: float, torque: float | None = None) -> None:
-        dt = check.real("dt", dt, above=0.0)
-        if torque is not None:
-            torque = check.real("torque", torque)
-        self._enter()
-        try:
-            self._step(dt, torque)
-        finally:
-            self._inside.clear()
-
-    def _step(self, dt: float, torque: float | None) -> None:
-        """Make a step with checked arguments."""
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
         state, time = self._numbers, self.time
         end = end_of_step(time, dt)
         if self._may_touch(dt, torque):
             after, mean_torque = self._step_engine(dt, torque)
-            self._present = Present(after, end, mean_torque, tuple(self._recorder.impacts))
-        else:
-            falling, rising = self._drive.torque_means(time, dt) if torque is None else (torque, torque)
-            self._present = Present(fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising))
+            return StepResult(after, end, mean_torque, tuple(self._recorder.impacts))
+        falling, rising = self._drive.torque_means(time, dt) if torque is None else (torque, torque)
+        return StepResult(fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising))
 
     @property
     def _numbers(self) -> list[float]:

@@ -12,7 +12,7 @@ from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
 from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
-from jackbox_env.simulators.base import JackLostError, Present
+from jackbox_env.simulators.base import JackLostError, StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.replay import flown, replayed
 from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
@@ -111,9 +111,9 @@ def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
 
 def test_energy_that_comes_from_nowhere_is_seen() -> None:
     class Heater(ExactSimulator):
-        def step(self, dt: float, torque: float | None = None) -> None:
-            super().step(dt, torque)
-            self._present = self._present._replace(state=self.state * np.where(np.arange(12) == 9, 1.001, 1.0))
+        def stepped(self, dt: float, torque: float | None) -> StepResult:
+            result = super().stepped(dt, torque)
+            return result._replace(state=result.state * np.where(np.arange(12) == 9, 1.001, 1.0))
 
     case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 10)
     honest, heated = (follow(kind(WEIGHTLESS), case) for kind in (ExactSimulator, Heater))
@@ -129,18 +129,18 @@ def test_energy_that_comes_from_nowhere_is_seen() -> None:
 class Ghost(ExactSimulator):
     """Flies through walls and keeps its energy."""
 
-    def step(self, dt: float, torque: float | None = None) -> None:
-        after = flown(self.scene, self.state.tolist(), self.time, dt, torque)
-        self._present = Present(np.array(after), self.time + dt)
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
+        return StepResult(np.array(flown(self.scene, self.state.tolist(), self.time, dt, torque)), self.time + dt)
 
 
 class Coward(ExactSimulator):
     """Gives up at walls."""
 
-    def step(self, dt: float, torque: float | None = None) -> None:
-        super().step(dt, torque)
-        if self.impacts:
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
+        result = super().stepped(dt, torque)
+        if result.impacts:
             raise JackLostError("the jack would leave the box")
+        return result
 
 
 @pytest.mark.parametrize("kind", [Ghost, Coward])
@@ -214,9 +214,9 @@ def test_quantities_are_plain_numbers() -> None:
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     class Nervous(ExactSimulator):
-        @property
-        def impacts(self) -> list[Impact]:
-            return [*super().impacts, Impact(self.time - 0.001, 3, 3, 1.0)]
+        def stepped(self, dt: float, torque: float | None) -> StepResult:
+            result = super().stepped(dt, torque)
+            return result._replace(impacts=(*result.impacts, Impact(result.time - 0.001, 3, 3, 1.0)))
 
     # 11 m/s: hits at 0.4545 s, in the middle of the restart from 0.4 s
     case = Case("straight", WEIGHTLESS, flying_at_a_wall(11.0), 50)

@@ -199,13 +199,13 @@ def test_a_wrong_name_or_combination_is_refused(call: Any, error: type[Exception
 
 # Records and errors; a protocol; checked where it is used.
 WITHOUT_ARGUMENTS = {
-    "Impact", "Fit", "Linearization", "Rollout", "State", "JackLostError", "Simulator", "Task", "TaskError",
-    "Recording", "fit",  # tests/measuring/test_fitting.py
+    "Impact", "Fit", "Linearization", "Rollout", "State", "StepResult", "JackLostError", "Simulator", "Task",
+    "TaskError", "Recording", "fit",  # tests/measuring/test_fitting.py
 }  # fmt: skip
 # These check nothing, for speed: their caller has checked the arguments.
 UNCHECKED = {
-    "Action", "JackInBoxVectorEnv.set_attr", "Observation", "Simulator.restore", "contacts_of", "impact_maps",
-    "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
+    "Action", "JackInBoxVectorEnv.set_attr", "Observation", "Simulator.restore", "Simulator.stepped", "contacts_of",
+    "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.
 ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}}

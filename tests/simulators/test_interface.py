@@ -14,7 +14,7 @@ import pytest
 from jackbox_env import simulators
 from jackbox_env.exact.workspace import Call
 from jackbox_env.model.scene import Drive, Scene
-from jackbox_env.simulators import CONTACT_MODELS, make_simulator
+from jackbox_env.simulators import CONTACT_MODELS, Simulator, StepResult, make_simulator
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 
@@ -77,15 +77,51 @@ def test_returned_values_are_never_written_again(contact: str) -> None:
     simulator = make_simulator(Scene(jack_arm=5.0), contact)
     handed_out = []
     for _ in range(100):
-        simulator.step(0.02)
+        returned = simulator.step(0.02).state
         state, impacts = simulator.state, simulator.impacts
-        handed_out.append((state, state.copy(), impacts, list(impacts)))
+        handed_out += [(returned, returned.copy(), impacts, impacts), (state, state.copy(), impacts, list(impacts))]
     assert any(impacts for _, _, impacts, _ in handed_out)
     for state, copied, impacts, listed in handed_out:
         np.testing.assert_array_equal(state, copied)
         assert impacts == listed
     simulator.state[:] = 0.0
+    simulator.step(0.02).state[:] = 0.0
     assert simulator.state.any()
+
+
+@EVERY_MODEL
+def test_a_step_returns_what_the_simulator_then_has(contact: str) -> None:
+    simulator, struck = make_simulator(Scene(jack_arm=5.0), contact), 0
+    for number in range(50):
+        state, time, torque, impacts = simulator.step(0.02, 1e3 * number if number % 2 else None)
+        assert (time, torque, list(impacts)) == (simulator.time, simulator.torque, simulator.impacts)
+        np.testing.assert_array_equal(state, simulator.state)
+        assert isinstance(state, np.ndarray)
+        struck += len(impacts)
+    assert struck
+
+
+class Still(Simulator):
+    """A contact model of a user: nothing moves, and every third step returns no result."""
+
+    name, room = "still", 100
+
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
+        if round(self.time / dt) == 2:
+            return None  # type: ignore[return-value]
+        return StepResult(self.state, self.time + dt, torque or 0.0)
+
+
+def test_a_model_of_a_user_returns_its_result_or_stays_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulators, "CONTACT_MODELS", {**CONTACT_MODELS, "still": f"{__name__}.Still"})
+    still = make_simulator(None, "still")
+    assert [still.step(0.5, 3.0)[1:] for _ in range(2)] == [(0.5, 3.0, ()), (1.0, 3.0, ())]
+    with pytest.raises(TypeError, match="^Still.stepped must return a StepResult, got None$"):
+        still.step(0.5, 4.0)
+    assert (still.time, still.torque) == (1.0, 3.0)
+    with pytest.raises(ValueError, match="^dt must"):
+        still.step(-1.0)
+    assert still.step(0.1).time == 1.1  # the error has left it usable
 
 
 @EVERY_MODEL

@@ -23,7 +23,7 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
-from jackbox_env.simulators.base import Impact, end_of_step
+from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure, pieces_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
@@ -256,12 +256,12 @@ class ExactBatch:
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
         impacts = list[Impact]()
-        for simulator in islice(self._again(number, before, actions), steps):
-            impacts += simulator.impacts
-        return impacts if np.array_equal(simulator.state, self._blocks[block, :12, lane]) else []
+        for step in islice(self._again(number, before, actions), steps):
+            impacts += step.impacts
+        return impacts if np.array_equal(step.state, self._blocks[block, :12, lane]) else []
 
-    def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[ExactSimulator]:
-        """A simulator of one environment, after each control step from ``before`` under ``actions``."""
+    def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[StepResult]:
+        """The results of one environment's control steps from ``before`` under ``actions``."""
         block, lane = divmod(number, before.shape[2])
         scene, dt = self.scene(number), self._dt
         simulator, torque = ExactSimulator(scene), None
@@ -273,8 +273,7 @@ class ExactBatch:
                 if self._kind != SHARES:
                     share = functions.share(simulator.state, actions[:, number], simulator.time, dt)
                 torque = clipped_share(share, f", in environment {number}") * scene.torque_limit
-            simulator.step(dt, torque)
-            yield simulator
+            yield simulator.step(dt, torque)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -369,8 +368,8 @@ class ExactBatch:
         if ended == Status.BAD_ACTION and actions is not None:
             return bad_action(float(actions[0, number]), number)
         if ended == Status.BAD_REWARD:
-            simulator = next(islice(self._again(number, self._blocks, actions), made, None))
-            return bad_reward(self._nouns.task, simulator, f"environment {number}")
+            step = next(islice(self._again(number, self._blocks, actions), made, None))
+            return bad_reward(self._nouns.task, self.scene(number), step, f"environment {number}")
         if ended == Status.BAD_OBSERVATION:
             return self._bad_observation(observations[number], number)
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])

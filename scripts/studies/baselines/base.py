@@ -11,7 +11,7 @@ from typing_extensions import override
 from jackbox_env.measure.accuracy import Between
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import OMEGA_BOX, Array, clearance, deepest_restored
-from jackbox_env.simulators.base import Impact, JackLostError, Present, Simulator, end_of_step
+from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.tools import checks as check
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # of walls 0 to 3 and of feet 0 to 3
@@ -38,7 +38,7 @@ class Baseline(Simulator):
             raise ValueError(f"a baseline must have a scene without side forces, got {check.shown(scene.drive)}")
         super().__init__(scene)
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
-        self._played: tuple[Present, float, float | None] | None = None  # before the last step; h; torque
+        self._played: tuple[StepResult, float, float | None] | None = None  # before the last step; h; torque
         self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each continues
         self._prepare()
 
@@ -46,10 +46,7 @@ class Baseline(Simulator):
         return [float(number) for number in state]
 
     @override
-    def step(self, dt: float, torque: float | None = None) -> None:
-        dt = check.real("dt", dt, above=0.0)
-        if torque is not None:
-            torque = check.real("torque", torque)
+    def stepped(self, dt: float, torque: float | None) -> StepResult:
         now = self._present
         end, h = end_of_step(now.time, dt), dt / self.substeps
         impacts = list(self._under_way)
@@ -62,7 +59,7 @@ class Baseline(Simulator):
             )
         finished = next((number for number, (_, going) in enumerate(impacts) if going), len(impacts))
         self._under_way, self._played = impacts[finished:], (now, h, torque)  # in time order: later ones wait too
-        self._present = Present(after, end, mean, tuple(hit for hit, _ in impacts[:finished]))
+        return StepResult(after, end, mean, tuple(hit for hit, _ in impacts[:finished]))
 
     @abstractmethod
     def _simulate(
