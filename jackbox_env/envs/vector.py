@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.envs.batches.arguments import Arguments
-from jackbox_env.envs.batches.base import Limits, Outcome, Starts
+from jackbox_env.envs.batches.base import Limits
 from jackbox_env.envs.batches.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.batches.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.settings import Setting, Settings
@@ -82,8 +82,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
         episode_steps: control steps of an episode, counted across decisions.
 
-    Returned arrays are never written again. Ctrl-C in ``step`` changes nothing, unless it strikes while the new states
-    replace the old ones. Then ``step`` raises RuntimeError until all environments are ``reset``. While a thread is in
+    Returned arrays are never written again. Ctrl-C in ``step``, ``reset`` or ``set_states`` leaves all environments as
+    they were, or all as the whole call leaves them. While a thread is in
     ``step``, ``reset``, ``set_states``, ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
 
     Raises:
@@ -185,8 +185,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self._inside, self._randomize = ThreadNote(), drawn
         self._seeds = [-1] * num_envs  # -1 where none was given
         self._started = np.zeros(num_envs, dtype=np.bool_)  # which have been reset
-        # Whether all have been reset, an episode may be over, and a change has begun and not ended.
-        self._ready, self._waiting, self._half = False, False, False
+        self._ready, self._waiting = False, False  # whether all have been reset, and an episode may be over
         self.changes = 0  # steps and resets so far
 
     @property
@@ -262,17 +261,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: unusable values. All environments are unchanged.
         """
         chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._arguments.mask("chosen", chosen)
-        self._refuse_half_changed()
         placed = self._arguments.states("states", states, chosen, as_restored)(self._batch.scene)
-        checked = self._arguments.times("times", times, chosen)
-        self._half = True
-        self._batch.set_states(chosen, placed, checked)
-        self._half = False
-
-    def _refuse_half_changed(self) -> None:
-        """Raise RuntimeError if an interruption has left the environments half changed."""
-        if self._half:
-            raise RuntimeError("an interruption has left the environments half changed: reset all of them first")
+        self._batch.set_states(chosen, placed, self._arguments.times("times", times, chosen))
 
     def field(self, name: str) -> Array:
         """One field of each environment's present scene, a number, by its name in :class:`Scene`, shape (N,).
@@ -313,29 +303,22 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: an unusable seed or option. All environments are unchanged.
         """
         plan = self.check_reset(seed, options)
-        if not plan.chosen.all():
-            self._refuse_half_changed()
         numbers = np.flatnonzero(plan.chosen)
         seeds = [plan.seeds[number] for number in numbers.tolist()]
         starts = self._batch.draw(numbers, seeds, plan.changes, plan.states is not None)
         if plan.states is not None:
             placed = plan.states(lambda number: self._batch.scene(number, starts))
             starts = starts._replace(states=placed[numbers])
-        starts = self._batch.observed(starts, plan.times)
-        observations = self._observed(np.flatnonzero(~plan.chosen))  # raises before anything changes
-        self._half = True
-        self._batch.start(starts)
-        if plan.times.any():
-            self._batch.set_states(plan.chosen, self._batch.states, plan.times)
-        for number in numbers.tolist():
-            new = plan.seeds[number]
-            self._seeds[number] = self._seeds[number] if new is None else new
-        self._started[numbers] = True
-        self._ready = bool(self._started.all())
+        observations = self._observed(np.flatnonzero(~plan.chosen))
+        after: Any = self._batch.start(starts._replace(times=plan.times[numbers]), observations)
+        known = list(self._seeds)
+        for number, new in zip(numbers.tolist(), seeds, strict=True):
+            known[number] = known[number] if new is None else new
         self.changes += 1
-        self._half = False
+        self._batch.take(after)
+        self._seeds, self._started = known, self._started | plan.chosen
+        self._ready = bool(self._started.all())
         infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
-        self._batch.observe(numbers, observations)
         return observations, infos if self._with_infos else NoInfos(infos)
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
@@ -354,11 +337,10 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: unusable actions.
             JackLostError: a jack would leave its box, or cannot be followed.
             jackbox_env.TaskError: as in the single environment, whose number it names.
-            RuntimeError: no reset yet, or half changed by an interruption. Other errors change nothing.
+            RuntimeError: no reset yet. Errors change nothing.
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
-        self._refuse_half_changed()
         waiting = self._over() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
@@ -369,17 +351,16 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended
-        starts = None
+        after = outcome.after
         if restarting is not None:
-            drawn = self._batch.draw(np.flatnonzero(restarting))
-            starts = self._batch.observed(drawn, np.zeros(self.num_envs))
-        self._half = True
-        self._batch.take(outcome.after)
-        if starts is not None:
-            self._restart(starts, outcome)
-        self._waiting = outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP
+            after = self._batch.start(self._batch.draw(np.flatnonzero(restarting)), outcome.observations, after)
+        self._waiting = waiting is not None or (outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP)
         self.changes += 1
-        self._half = False
+        self._batch.take(after)
+        if restarting is not None:
+            starting = self._infos_at_start(restarting)
+            for name in starting.keys() & outcome.infos.keys():
+                outcome.infos[name][restarting] = starting[name][restarting]
         infos |= masked(outcome.infos | self._drawn(self._started), self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
@@ -431,16 +412,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             over = f"{int(waiting.sum())} of {self.num_envs} are over"
             raise RuntimeError(f"with autoreset_mode DISABLED, {how}; {over}")
         return waiting
-
-    def _restart(self, starts: Starts, outcome: Outcome) -> None:
-        """Begin episodes, and write their starts into ``outcome``."""
-        self._batch.start(starts)
-        self._batch.observe(starts.numbers, outcome.observations)
-        chosen = np.zeros(self.num_envs, dtype=np.bool_)
-        chosen[starts.numbers] = True
-        infos = self._infos_at_start(chosen)
-        for name in infos.keys() & outcome.infos.keys():
-            outcome.infos[name][chosen] = infos[name][chosen]
 
     def _infos_at_start(self, chosen: Flags) -> Infos:
         """Infos, without masks, of the ``chosen`` environments at the start of an episode."""

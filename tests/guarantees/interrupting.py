@@ -1,7 +1,7 @@
 """Interrupts a batch on two threads at random moments: ``python -m tests.guarantees.interrupting SIGALRM 100000``.
 
-It fails on any error but KeyboardInterrupt and the refusal of half changed environments, if it hangs, or if results
-differ from an uninterrupted batch's.
+It fails on any error but KeyboardInterrupt, if it hangs, if environments are half changed, or if results differ from an
+uninterrupted batch's.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Interrupts:
             self._armed, self.count = self._armed - 1, self.count + 1
             raise KeyboardInterrupt
 
-    def during(self, work: Any) -> None:
-        """Call ``work``, perhaps interrupted, in a quarter of the calls perhaps twice."""
+    def during(self, work: Any) -> bool:
+        """Call ``work``, perhaps interrupted, in a quarter of the calls perhaps twice; return whether it ended."""
         try:
             try:
                 self._armed = random.choice((1, 1, 1, 2))
@@ -44,6 +44,8 @@ class Interrupts:
                 self._armed = 0
         except KeyboardInterrupt:
             self._armed = 0
+            return False
+        return True
 
 
 def send(name: str) -> int:
@@ -61,9 +63,13 @@ def send(name: str) -> int:
 
 
 def made() -> JackInBoxVectorEnv:
-    env = JackInBoxVectorEnv(_ENVS, 50, "SAME_STEP", num_threads=2, contact="exact")
+    env = JackInBoxVectorEnv(_ENVS, 50, "SAME_STEP", num_threads=2, contact="exact", randomize={"gravity": (5.0, 15.0)})
     env.reset(seed=0)
     return env
+
+
+def shown(env: JackInBoxVectorEnv) -> list[bytes]:
+    return [values.tobytes() for values in (env.field("gravity"), env.states, env.times)]
 
 
 def outcomes(env: JackInBoxVectorEnv, starts: Any) -> list[bytes]:
@@ -74,34 +80,37 @@ def outcomes(env: JackInBoxVectorEnv, starts: Any) -> list[bytes]:
 
 
 def main(name: str, count: int) -> None:
-    env = made()
+    env, twin = made(), made()  # the twin is never interrupted
     starts, expected = env.states, outcomes(env, env.states)
-    kinds = [
-        *[lambda: env.step(_ACTIONS)] * 15,
-        lambda: env.reset(seed=1),
-        *[lambda: rollout(None, starts, _TORQUES, 0.02, num_threads=2)] * 4,
+    outcomes(twin, starts)
+    calls = [
+        *[lambda one: one.step(_ACTIONS)] * 15,
+        lambda one: one.reset(seed=1),
+        lambda one: one.reset(options={"reset_mask": _ACTIONS > 0.0}),
+        lambda one: one.set_states(starts, 0.5, _ACTIONS > 0.0),
+        *[lambda _: rollout(None, starts, _TORQUES, 0.02, num_threads=2)] * 4,
     ]
-    interrupts, halves, checks = Interrupts(), 0, 0
+    interrupts, cut, checks = Interrupts(), 0, 0
     signal.signal(getattr(signal, name), interrupts)
     child = send(name)
     try:
         while interrupts.count < count:
             faulthandler.dump_traceback_later(_HANGS, exit=True)
-            try:
-                interrupts.during(random.choice(kinds))
-            except RuntimeError as error:
-                if "half changed" not in str(error):
-                    raise
-                halves += 1
-                env.reset(seed=2)
+            call, before = random.choice(calls), shown(env)
+            ended = interrupts.during(lambda call=call: call(env))
+            if ended or shown(env) != before:
+                cut += not ended
+                call(twin)
+            assert shown(env) == shown(twin), f"half changed after {interrupts.count} interrupts"
             if interrupts.count >= _CHECKED * (checks + 1):
                 checks += 1
-                assert outcomes(env, starts) == expected, f"results differ after {interrupts.count} interrupts"
+                for one in (env, twin):
+                    assert outcomes(one, starts) == expected, f"results differ after {interrupts.count} interrupts"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         if child:
             os.kill(child, signal.SIGKILL)
-    print(f"{interrupts.count} interrupts by {name}, {halves} left half changed, {checks} comparisons")
+    print(f"{interrupts.count} interrupts by {name}, {cut} after the change, {checks} comparisons")
 
 
 if __name__ == "__main__":

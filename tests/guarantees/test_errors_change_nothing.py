@@ -70,7 +70,7 @@ def shown(env: Any) -> list[Any]:
             generator,
         ]
     frames = [frame.tobytes() for frame in env.render()] if env.render_mode else []
-    words = env._batch._generators
+    words = env._batch.draw(np.arange(2), placed=True).generators
     generators = words.tobytes() if isinstance(words, np.ndarray) else [one.bit_generator.state for one in words]
     impacts = [env.impacts(number) for number in range(2)]
     return [env.states.tobytes(), env.times.tobytes(), impacts, env.observations.tobytes(), frames, generators]

@@ -40,6 +40,7 @@ class Starts(NamedTuple):
     generators: Any  # of these environments from their start on
     scenes: Any  # of these environments from their start on, in the batch's own form; None: unchanged
     states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin
+    times: Array | None = None  # (k,) at which they start [s]; None: 0
 
 
 class Limits(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
-from jackbox_env.model.observation import OBSERVATIONS, STATE, bad_observation
+from jackbox_env.model.observation import STATE, bad_observation
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices
@@ -31,10 +31,23 @@ _GRAIN = 4  # blocks that are worth a call
 _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
+class Present(NamedTuple):
+    """The environments of a batch: replaced by one assignment, so that an interruption cannot leave a part of it."""
+
+    blocks: Array  # states, (blocks, 16, width); never written while in use
+    scenes: SceneTable
+    last: tuple[Array, Array | None] | None = None  # blocks before the last step, and its actions
+    starts: Starts | None = None  # the last ones, until generators and scenes have them
+
+
 class ExactBatch:
     """As :class:`jackbox_env.envs.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 152 bytes more.
+
+    A step, a reset and :meth:`set_states` write states into spare memory, which :meth:`take` exchanges with that in
+    use. Generators and scenes are written in place after that, from ``starts`` in :class:`Present`. If an interruption
+    cuts this short, the next use writes all of them again, to the same effect.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
@@ -62,20 +75,19 @@ class ExactBatch:
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
         width = min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
-        self._count, self._blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
+        self._count, blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
-        self._scenes = SceneTable(scenes, several, self._blocks.shape, num_envs, control_dt)
+        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt))
         by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
-        ranges = len(self._blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
+        ranges = len(blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
-        self._spare: Array | None = np.zeros_like(self._blocks)  # where the next step writes
-        self._last: tuple[Array, Array | None] | None = None  # states before the last step, and its actions
+        self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
         self._calls: list[Call] | None = self._new_calls()
 
     def _new_calls(self) -> list[Call]:
-        return [Call(new_memory(self._blocks.shape[2])) for _ in range(self._threads.count)]
+        return [Call(new_memory(self._present.blocks.shape[2])) for _ in range(self._threads.count)]
 
     def _compile(self) -> None:
         """Compile the functions that the loop calls by their address, and store them as long as it may."""
@@ -101,12 +113,12 @@ class ExactBatch:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays that grow with the environments."""
-        return 3 * self._blocks.nbytes + self._generators.nbytes
+        return 3 * self._present.blocks.nbytes + self._generators.nbytes
 
     @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return _states(self._blocks, self._count)
+        return _states(self._present.blocks, self._count)
 
     @property
     def times(self) -> Array:
@@ -120,16 +132,17 @@ class ExactBatch:
 
     def _column(self, row: int) -> Array:
         """A copy of one row of the blocks, shape (N,)."""
-        return _column(self._blocks, row, self._count)
+        return _column(self._present.blocks, row, self._count)
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
+        table, starts = self._present.scenes, starts or self._present.starts
         if starts is None or starts.scenes is None or number not in starts.numbers:
-            return self._scenes.scene(number)
+            return table.scene(number)
         scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
-        return scene if isinstance(scene, Scene) else self._scenes.scene_of(number, scene)
+        return scene if isinstance(scene, Scene) else table.scene_of(number, scene)
 
     def draw(
         self,
@@ -140,7 +153,8 @@ class ExactBatch:
     ) -> Starts:
         """Seed generators, and draw scenes and starts for episodes to come."""
         ensure_compiled()
-        words, table = self._generators[numbers], self._scenes
+        self._settle()
+        words, table = self._generators[numbers], self._present.scenes
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
                 words[index] = seeded(seed)[: words.shape[1]]
@@ -166,60 +180,72 @@ class ExactBatch:
             words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
-    def observed(self, starts: Starts, times: Array) -> Starts:
-        """The same starts, at times [s], shape (N,), if the functions of a user's observation work there.
+    def start(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+        """What :meth:`take` makes the present if episodes begin now, or ``after`` a step.
+
+        Their observations are written into their rows, shape (N, numbers).
 
         Raises:
             TaskError: a number of an observation is NaN.
         """
-        if self._nouns.observation in OBSERVATIONS.values():
-            return starts
-        numbers, words, scenes, states = starts
-        several = self._scenes.rows(numbers) if scenes is None else scenes
-        rows = np.array([scene.numbers for scene in several]) if isinstance(several, list) else several
-        blocks, chosen = np.zeros((1, workspace.WIDTH, len(numbers))), np.arange(len(numbers))
-        if states is None:
-            words = words.copy()
-            compiled(restart.restart_blocks)(rows, blocks, chosen, words)
-        else:
-            blocks[0, :12] = states.T
-        blocks[0, workspace.TIME] = times[numbers]
-        seen = np.empty((len(numbers), len(self._nouns.observation.names)), dtype=np.float32)
-        bad = self._observe(rows, blocks, chosen, seen)
-        if bad >= 0:
-            raise self._bad_observation(seen[bad], int(numbers[bad]))
-        return Starts(numbers, words, scenes, blocks[0, :12].T.copy())
-
-    def start(self, starts: Starts) -> None:
-        """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
-        numbers, words, scenes, states = starts
-        if len(numbers) == self._count:
-            self._spare = self._last = None
-            self._scenes.repair()
-        if isinstance(scenes, list):
+        numbers, words, scenes, states, times = starts
+        blocks, table, last, _ = self._present._replace(blocks=self._copied()) if after is None else after
+        if scenes is None:
+            rows = table.rows(numbers)
+        elif isinstance(scenes, list):
+            rows = np.array([scene.numbers for scene in scenes])
             if len(numbers) < self._count or any(scene != scenes[0] for scene in scenes):
-                self._scenes = self._scenes.spread_out(self._blocks.shape)
-            self._scenes.put(numbers, np.array([scene.numbers for scene in scenes]))
-            self._scenes.put_drives(numbers, [scene.drive for scene in scenes])
-        elif scenes is not None:
-            self._scenes.put(numbers, scenes)
-        if states is None:
-            compiled(restart.restart_blocks)(self._scenes.rows(numbers), self._blocks, numbers, words)
+                table = table.spread_out(blocks.shape)
         else:
-            block, lane = np.divmod(numbers, self._blocks.shape[2])
-            self._blocks[block, :, lane] = 0.0
-            self._blocks[block, :12, lane] = states
-        self._generators[numbers] = words
+            rows = scenes
+        if states is None:
+            compiled(restart.restart_blocks)(rows, blocks, numbers, words)
+        if not (states is None and times is None):
+            block, lane = np.divmod(numbers, blocks.shape[2])
+            if states is not None:
+                blocks[block, :, lane] = 0.0
+                blocks[block, :12, lane] = states
+            blocks[block, workspace.TIME, lane] = 0.0 if times is None else times
+        self._observe(rows, blocks, numbers, observations)
+        return Present(blocks, table, last, starts)
 
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand."""
-        blocks = self._blocks
+        blocks = self._copied()
         block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
         blocks[block, :12, lane] = states[chosen]
         blocks[block, workspace.TIME, lane] = times[chosen]
         over = blocks[block, workspace.OVER, lane] != 0.0
         for row in (workspace.STEPS, workspace.DECISIONS, workspace.OVER):
             blocks[block[over], row, lane[over]] = 0.0
+        self.take(self._present._replace(blocks=blocks))
+
+    def _copied(self) -> Array:
+        """A copy of the blocks in spare memory."""
+        spare, self._spare = self._spare, None
+        spare = np.empty_like(self._present.blocks) if spare is None else spare
+        np.copyto(spare, self._present.blocks)
+        return spare
+
+    def take(self, after: Present) -> None:
+        """Replace the present environments by those of a step or of :meth:`start`."""
+        before, self._present = self._present, after
+        if after.last is before.last:  # no step
+            self._spare = before.blocks
+        else:
+            self._spare = before.last[0] if before.last else None
+        self._settle()
+
+    def _settle(self) -> None:
+        """Write the generators and scenes of the last starts in place, unless this is done."""
+        present = self._present
+        if present.starts is None:
+            return
+        numbers, words, scenes, *_ = present.starts
+        self._generators[numbers] = words
+        if scenes is not None:
+            present.scenes.put(numbers, scenes)
+        self._present = Present(present.blocks, present.scenes, present.last)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -227,13 +253,14 @@ class ExactBatch:
         Raises:
             TaskError: a number of an observation is NaN.
         """
-        bad = self._observe(self._scenes.rows(numbers), self._blocks, numbers, observations)
+        self._settle()
+        self._observe(self._present.scenes.rows(numbers), self._present.blocks, numbers, observations)
+
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> None:
+        """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
+        bad = compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations)
         if bad >= 0:
             raise self._bad_observation(observations[bad], bad)
-
-    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> int:
-        """Write observations into their rows; return the first row with a NaN, or -1."""
-        return int(compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations))
 
     def _bad_observation(self, observation: Floats, number: int) -> TaskError:
         error = bad_observation(self._nouns.observation, observation.tolist())
@@ -241,24 +268,27 @@ class ExactBatch:
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene, by the name of its field, shape (N,)."""
-        return np.repeat(self._scenes.column(name), 1 if self._scenes.several else self._count)
+        table = self._present.scenes
+        if self._present.starts is not None:
+            return np.array([getattr(self.scene(number), name) for number in range(self._count)], dtype=np.float64)
+        return np.repeat(table.column(name), 1 if table.several else self._count)
 
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since.
 
         The step is repeated.
         """
-        if self._last is None:
+        if self._present.last is None:
             return []
-        before, actions = self._last
+        blocks, (before, actions) = self._present.blocks, self._present.last
         block, lane = divmod(number, before.shape[2])
-        steps = int(self._blocks[block, workspace.STEPS, lane] - before[block, workspace.STEPS, lane])
+        steps = int(blocks[block, workspace.STEPS, lane] - before[block, workspace.STEPS, lane])
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
         impacts = list[Impact]()
         for step in islice(self._again(number, before, actions), steps):
             impacts += step.impacts
-        return impacts if np.array_equal(step.state, self._blocks[block, :12, lane]) else []
+        return impacts if np.array_equal(step.state, blocks[block, :12, lane]) else []
 
     def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[StepResult]:
         """The results of one environment's control steps from ``before`` under ``actions``."""
@@ -279,7 +309,8 @@ class ExactBatch:
 
     def step(self, actions: Array | None) -> Outcome:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
-        count, halt, (steps, max_contact_steps) = self._count, Halt(), self._repeat
+        self._settle()
+        count, halt, (steps, max_contact_steps), present = self._count, Halt(), self._repeat, self._present
         terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
         filled = Results(
             np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
@@ -299,7 +330,7 @@ class ExactBatch:
             run.PATIENCE,
         )
         spare, calls = self._spare, self._calls
-        before = self._blocks.copy() if steps > 1 else self._blocks  # several steps overwrite it
+        before = present.blocks.copy() if steps > 1 else present.blocks  # several steps overwrite it
         spare = np.zeros_like(before) if spare is None else spare
         calls = self._new_calls() if calls is None else calls
         for call in calls:
@@ -318,9 +349,10 @@ class ExactBatch:
 
         width = before.shape[2]
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
-        self._spare, self._calls = spare, calls
+        self._calls = calls
         failures = [(made, number, ended) for ended, number, made, *_ in parts if ended]
         if failures:
+            self._spare = spare
             made, number, ended = min(failures)
             raise self._failure(ended, number, actions, made, filled.observations)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
@@ -331,23 +363,18 @@ class ExactBatch:
         made: Array | float = 1.0
         if self._repeat.steps > 1:
             made = _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS)
-        durations = np.full(self._count, made * self._dt)
+        durations = np.empty(self._count)
+        durations[:] = made * self._dt  # faster than np.full
         infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
         rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
         return Outcome(
-            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished, (after, actions)
-        )
-
-    def take(self, after: tuple[Array, Array | None]) -> None:
-        """Replace the present environments by those of an outcome."""
-        blocks, actions = after
-        if self._spare is blocks:
-            self._spare = self._last[0] if self._last else None
-        self._blocks, self._last = blocks, (self._blocks, actions)
+            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished,
+            Present(after, self._present.scenes, (self._present.blocks, actions)),
+        )  # fmt: skip
 
     def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
-        scenes = self._scenes
+        scenes = self._present.scenes
         if not scenes.cutting[torque]:
             return Scenes(scenes.values, scenes.scene_params, scenes.kinds[torque], *NO_PIECES)
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
@@ -368,14 +395,14 @@ class ExactBatch:
         if ended == Status.BAD_ACTION and actions is not None:
             return bad_action(float(actions[0, number]), number)
         if ended == Status.BAD_REWARD:
-            step = next(islice(self._again(number, self._blocks, actions), made, None))
+            step = next(islice(self._again(number, self._present.blocks, actions), made, None))
             return bad_reward(self._nouns.task, self.scene(number), step, f"environment {number}")
         if ended == Status.BAD_OBSERVATION:
             return self._bad_observation(observations[number], number)
         time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
         try:  # the failed call raises again
             if ended == Status.BAD_TORQUE:
-                next(islice(self._again(number, self._blocks, actions), made, None))
+                next(islice(self._again(number, self._present.blocks, actions), made, None))
             if ended == Status.TOO_LATE:
                 end_of_step(time, self._dt)
             if ended == Status.NO_DRIVE:

@@ -48,7 +48,6 @@ class SceneTable:
         numbers = np.arange(count if several else shape[2])
         compiled(spread)(self.values, dt, self.scene_params, numbers)
         self._derive_kinds()
-        self._changing = False  # whether an interruption has left a change unfinished
 
     def _derive_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
@@ -119,34 +118,19 @@ class SceneTable:
         tables += [NO_TABLE] * (int(steps.max()) - len(tables))
         return Scenes(self.values, self.scene_params, self.kinds[torque], *joined(tables, begins))
 
-    def put(self, numbers: Counts, rows: Array) -> None:
-        """Set the numbers of some environments' scenes, or of all if they share one."""
-        self._changing = True
+    def put(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
+        """Set the scenes of some environments, or the one of all. Rows have their numbers; they leave the drives."""
         self._forget(numbers)
+        if isinstance(scenes, list):
+            for number, scene in zip(numbers.tolist() if self.several else [0], scenes, strict=False):
+                self.drives[number] = scene.drive
+            self._derive_kinds()
+            scenes = np.array([scene.numbers for scene in scenes])
         if self.several:
-            self.values[numbers] = rows
+            self.values[numbers] = scenes
         else:
-            self.values[0], rows, numbers = rows[0], rows[:1], np.arange(self.scene_params.shape[2])
-        compiled(spread)(rows, self.dt, self.scene_params, numbers)
-        self._changing = False
-
-    def repair(self) -> None:
-        """If an interruption has left a change unfinished, derive all anew from the numbers and the drives."""
-        if self._changing:
-            everyone = np.arange(self.count)
-            self.put(everyone, self.values.copy())
-            self.put_drives(everyone, list(self.drives))
-
-    def put_drives(self, numbers: Counts, drives: Sequence[AnyDrive]) -> None:
-        """Set the drives of some environments' scenes, or of all if they share one."""
-        self._changing = True
-        self._forget(numbers)
-        if not self.several:
-            self.drives = [drives[0]]
-        for number, drive in zip(numbers.tolist(), drives, strict=True) if self.several else ():
-            self.drives[number] = drive
-        self._derive_kinds()
-        self._changing = False
+            self.values[0], scenes, numbers = scenes[0], scenes[:1], np.arange(self.scene_params.shape[2])
+        compiled(spread)(scenes, self.dt, self.scene_params, numbers)
 
     def _forget(self, numbers: Counts) -> None:
         for number in numbers.tolist() if self._scenes else ():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.batches.infos import blank
-from jackbox_env.envs.scoring import make_functions
 from jackbox_env.envs.single import JackInBoxEnv, go_back, moment, put
-from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices
@@ -23,13 +21,25 @@ from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators import Impact
 
 
+class Present(NamedTuple):
+    """The environments of a batch: replaced by one assignment, so that an interruption cannot leave a part of it."""
+
+    states: Array  # (N, 12)
+    times: Array  # (N,) [s]
+    counts: NDArray[np.int64]  # control steps and decisions of the episodes, (2, N)
+    over: Flags  # (N,)
+    generators: list[np.random.Generator]
+    scenes: list[Scene]
+
+
 class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
-    :meth:`step` and :meth:`draw` may raise and change nothing. :meth:`take`, :meth:`start` and :meth:`set_states` then
-    commit the results; they cannot fail. :class:`jackbox_env.envs.batches.exact.ExactBatch` has the same methods.
+    :meth:`draw`, :meth:`step` and :meth:`start` may raise, and change nothing: they return what :meth:`take` then makes
+    the present. :class:`jackbox_env.envs.batches.exact.ExactBatch` has the same methods.
 
-    A step moves the environments. If it is not taken, they go back to the moment before it at their next use.
+    A step and a start move the environments. If they are not taken, these go back to the moment before at their next
+    use.
     """
 
     def __init__(
@@ -46,38 +56,38 @@ class SingleBatch:
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
         self._with_infos, self._randomize, self._limits = with_infos, randomize, limits
         self._nouns = self._envs[0].nouns
-        self._states = np.array([env.state for env in self._envs])
-        self._times = np.zeros(num_envs)
-        self._counts = np.zeros((2, num_envs), dtype=np.int64)  # control steps and decisions of the episodes
-        self._over = np.zeros(num_envs, dtype=np.bool_)
-        self._generators, self._scenes = [np_random()[0] for _ in range(num_envs)], list(self._originals)
-        self._before: list[tuple[Any, ...]] | None = None  # the moment before a step that is not taken
+        self._present = Present(
+            np.array([env.state for env in self._envs]), np.zeros(num_envs), np.zeros((2, num_envs), dtype=np.int64),
+            np.zeros(num_envs, dtype=np.bool_), [np_random()[0] for _ in range(num_envs)], list(self._originals),
+        )  # fmt: skip
+        # The present from which environments have moved, and the moments to which they go back if it stays.
+        self._moved: tuple[Present, list[tuple[Any, ...]]] | None = None
 
     @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return self._states.copy()
+        return self._present.states.copy()
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return self._times.copy()
+        return self._present.times.copy()
 
     @property
     def over(self) -> Flags:
         """Which episodes are over, shape (N,)."""
-        return self._over.copy()
+        return self._present.over.copy()
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
-            return self._scenes[number]
+            return self._present.scenes[number]
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
-        return np.array([getattr(scene, name) for scene in self._scenes], dtype=np.float64)
+        return np.array([getattr(scene, name) for scene in self._present.scenes], dtype=np.float64)
 
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""
@@ -108,68 +118,69 @@ class SingleBatch:
         generators, scenes, states = list[np.random.Generator](), list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
             seed = seeds[index] if seeds else None
-            generators.append(copy.deepcopy(self._generators[number]) if seed is None else np_random(seed)[0])
+            generators.append(copy.deepcopy(self._present.generators[number]) if seed is None else np_random(seed)[0])
             if self._randomize or changes is not None:
                 drawn = self._randomize.draw(self._originals[number], generators[-1]) if self._randomize else {}
                 scenes.append(self._originals[number].changed(**{**drawn, **(changes[index] if changes else {})}))
                 self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
-                states.append(
-                    draw_start(self._nouns.task, scenes[-1] if scenes else self._scenes[number], generators[-1])
-                )
+                scene = scenes[-1] if scenes else self._present.scenes[number]
+                states.append(draw_start(self._nouns.task, scene, generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
-    def observed(self, starts: Starts, times: Array) -> Starts:
-        """The same starts, at times [s], shape (N,), if the functions of a user's observation work there.
+    def start(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+        """What :meth:`take` makes the present if episodes begin now, or ``after`` a step.
+
+        Their observations are written into their rows, shape (N, numbers).
 
         Raises:
-            TypeError: they return a wrong type.
+            TypeError: the function of a user's observation returns a wrong type.
             TaskError: a number of an observation is NaN.
         """
-        if self._nouns.observation not in OBSERVATIONS.values() and starts.states is not None:
-            for number, state in zip(starts.numbers.tolist(), starts.states, strict=True):
-                with within(number):
-                    functions = make_functions(self.scene(number, starts), self._nouns, self._envs[0].contact)
-                    functions.observe(state, float(times[number]))
-        return starts
-
-    def start(self, starts: Starts) -> None:
-        """Begin episodes at time 0. If all begin, this also repairs what an interruption left half changed."""
-        self._gather()
-        numbers = starts.numbers
+        after, numbers = self._changing() if after is None else after, starts.numbers
         for index, number in enumerate(numbers.tolist()):
-            self._generators[number] = starts.generators[index]
+            after.generators[number] = starts.generators[index]
             if starts.scenes is not None:
-                self._scenes[number] = starts.scenes[index]
-        self._states[numbers], self._times[numbers] = starts.states, 0.0
-        self._counts[:, numbers], self._over[numbers] = 0, False
-        self._put(numbers)
+                after.scenes[number] = starts.scenes[index]
+        after.states[numbers], after.times[numbers] = starts.states, 0.0 if starts.times is None else starts.times
+        after.counts[:, numbers], after.over[numbers] = 0, False
+        self._put(numbers, after)
+        self._observe(numbers, observations)
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
+        return after
 
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand.
 
         Their episodes continue. A finished episode starts anew.
         """
-        self._gather()
-        self._states[chosen], self._times[chosen] = states[chosen], times[chosen]
-        anew = chosen & self._over
-        self._counts[:, anew], self._over[anew] = 0, False
-        self._put(np.flatnonzero(chosen))
+        after = self._changing()
+        after.states[chosen], after.times[chosen] = states[chosen], times[chosen]
+        anew = chosen & after.over
+        after.counts[:, anew], after.over[anew] = 0, False
+        self._put(np.flatnonzero(chosen), after)
+        self.take(after)
 
-    def _put(self, numbers: Indices) -> None:
-        """Set some environments to the batch's scenes, states and times."""
+    def _put(self, numbers: Indices, after: Present) -> None:
+        """Set some environments to scenes, states and times."""
         for number in numbers.tolist():
-            time, steps = float(self._times[number]), int(self._counts[0, number])
-            put(self._envs[number], self._scenes[number], self._states[number], time, steps)
+            time, steps = float(after.times[number]), int(after.counts[0, number])
+            put(self._envs[number], after.scenes[number], after.states[number], time, steps)
+
+    def _changing(self) -> Present:
+        """A copy of the present to be changed, whose environments may move."""
+        self._gather()
+        self._moved = self._present, [moment(env) for env in self._envs]
+        return Present._make(map(copy.copy, self._present))
 
     def _gather(self) -> None:
-        """Undo a step that was not taken."""
-        if self._before is not None:
-            for env, before in zip(self._envs, self._before, strict=True):
+        """Undo a step or a start that was not taken."""
+        if self._moved is not None:
+            present, moments = self._moved
+            for env, before in zip(self._envs, moments, strict=True) if present is self._present else ():
                 go_back(env, before)
-            self._before = None
+            self._moved = None
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -178,6 +189,9 @@ class SingleBatch:
             TaskError: a number of an observation is NaN.
         """
         self._gather()
+        self._observe(numbers, observations)
+
+    def _observe(self, numbers: Indices, observations: Floats) -> None:
         for number in numbers.tolist():
             with within(number):
                 observations[number] = self._envs[number].observation
@@ -190,27 +204,26 @@ class SingleBatch:
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
-        count, going = len(self._envs), np.flatnonzero(~self.over).tolist()
+        count, going = len(self._envs), np.flatnonzero(~self._present.over).tolist()
         shape = (count, len(self._nouns.observation.names))
         observations, rewards = np.zeros(shape, dtype=np.float32), np.zeros(count)
         infos = blank(self._nouns.task.terms if self._with_infos else None, count)
         chosen = [None] * count if actions is None else self._as_singles(actions, going)
-        self._gather()
-        self._before = [moment(env) for env in self._envs]
-        states, times, counts = self.states, self.times, self._counts.copy()
+        after = self._changing()
+        counts = after.counts
         terminations, truncations = np.zeros((2, count), dtype=np.bool_)
         for number in going:
             env = self._envs[number]
             with within(number):
                 observations[number], rewards[number], terminations[number], _, info = env.step(chosen[number])
-            states[number], times[number] = info["state"], info["time"]
+            after.states[number], after.times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
             counts[:, number] = env.elapsed_steps, counts[1, number] + 1
             steps, decisions = self._limits
             truncations[number] = counts[0, number] >= steps or counts[1, number] >= decisions
         ended = terminations | truncations
-        after = states, times, counts, self._over | ended
+        after.over[ended] = True
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
 
     def _as_singles(self, actions: Array, going: list[int]) -> list[Any]:
@@ -222,10 +235,10 @@ class SingleBatch:
             return list(np.ascontiguousarray(actions.T))
         return [int(choice) for choice in actions[0].tolist()]
 
-    def take(self, after: tuple[Array, Array, NDArray[np.int64], Flags]) -> None:
-        """Replace the present environments by those of an outcome."""
-        self._states, self._times, self._counts, self._over = after
-        self._before = None
+    def take(self, after: Present) -> None:
+        """Replace the present environments by those of a step or of :meth:`start`."""
+        self._present = after
+        self._moved = None
 
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""
