@@ -12,6 +12,7 @@ import pytest
 
 from jackbox_env.commands import check
 from jackbox_env.model.states import Array
+from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.tools.command_line import called, command_line
@@ -69,14 +70,14 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
 
 
 def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    step = ExactSimulator.step
+    stepped = ExactSimulator.stepped
 
-    def other(self: ExactSimulator, dt: float, torque: float | None = None) -> None:
-        step(self, dt, torque)
-        if self.impacts:
-            self._present = self._present._replace(state=self.state * np.where(np.arange(12) == 10, 1.0 + 1e-6, 1.0))
+    def other(self: ExactSimulator, dt: float, torque: float | None) -> StepResult:
+        result = stepped(self, dt, torque)
+        wrong = np.asarray(result.state) * np.where(np.arange(12) == 10, 1.0 + 1e-6, 1.0)
+        return result._replace(state=wrong) if result.impacts else result
 
-    monkeypatch.setattr(ExactSimulator, "step", other)
+    monkeypatch.setattr(ExactSimulator, "stepped", other)
     monkeypatch.setattr(sys, "argv", ["jackbox check"])
     with pytest.raises(SystemExit) as ended:
         check.main()

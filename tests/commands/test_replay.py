@@ -27,6 +27,7 @@ from jackbox_env.exact import compiler
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
+from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 
 ROOT = Path(__file__).parents[2]
@@ -184,14 +185,14 @@ def test_a_replay_ends_where_its_work_does(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_ctrl_c_ends_a_replay_at_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    step, calls = ExactSimulator.step, list[float]()
+    stepped, calls = ExactSimulator.stepped, list[float]()
 
-    def interrupted(self: ExactSimulator, dt: float, torque: float | None = None) -> None:
+    def interrupted(self: ExactSimulator, dt: float, torque: float | None) -> StepResult:
         calls.append(dt)
         signal.raise_signal(signal.SIGINT) if len(calls) == 3 else None
-        step(self, dt, torque)
+        return stepped(self, dt, torque)
 
-    monkeypatch.setattr(ExactSimulator, "step", interrupted)
+    monkeypatch.setattr(ExactSimulator, "stepped", interrupted)
     monkeypatch.setattr(sys, "argv", ["jackbox replay", text()])
     with pytest.raises(SystemExit) as ended:
         replay.main()
