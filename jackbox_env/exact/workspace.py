@@ -257,7 +257,7 @@ class Call:
     def __init__(self, memory: Memory) -> None:
         self.memory = memory
         self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
-        self.address, self._pack = 0, compiled(pack)
+        self.address, self._pack, self._pack_again = 0, compiled(pack), compiled(pack_again)
 
     def prepare(
         self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
@@ -265,8 +265,14 @@ class Call:
         """Set the arguments. Numba unpacks plain tuples faster than named ones."""
         self._arguments = scenes, rules, before, after, controls, results  # keeps the arrays alive
         self.address = self._pack(
-            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), tuple(self.memory)
+            self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), *self.memory
         )
+
+    def prepare_again(self, before: Array, after: Array, controls: Array, results: Results) -> None:
+        """Set other arrays for the same scenes and rules. From ``lengths`` on, the results are those of NOTHING."""
+        scenes, rules, *_ = self._arguments
+        self._arguments = scenes, rules, before, after, controls, results
+        self._pack_again(self._packed, self.address, before, after, controls, *results[:6])
 
     def with_room(self) -> Call:
         """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
@@ -277,8 +283,9 @@ class Call:
 
 
 def pack(
-    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any, work: Any
-) -> Any:
+    memory: Array, scenes: Any, rules: Any, before: Array, after: Array, controls: Array, results: Any,
+    scratch: Array, workspaces: Workspaces, log: Array,
+) -> Any:  # fmt: skip
     """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
     return packed(
         memory,
@@ -293,7 +300,27 @@ def pack(
                 results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
                 results[8], results[9], results[10], results[11],
             ),
-            Memory(work[0], work[1], work[2]),
+            Memory(scratch, workspaces, log),
+        ),
+    )  # fmt: skip
+
+
+def pack_again(
+    memory: Array, address: Any, before: Array, after: Array, controls: Array, observations: Floats, rewards: Array,
+    returns: Array, terminations: Flags, truncations: Flags, reports: Array,
+) -> Any:  # fmt: skip
+    """Replace some arguments in ``memory``, which has this ``address``."""
+    call = arguments_at(address)
+    rest = call.results
+    return packed(
+        memory,
+        Arguments(
+            call.scenes, call.rules, before, after, controls,
+            Results(
+                observations, rewards, returns, terminations, truncations, reports, rest.lengths, rest.trajectories,
+                rest.energies, rest.hits, rest.impulses, rest.nonsmooth,
+            ),
+            call.memory,
         ),
     )  # fmt: skip
 

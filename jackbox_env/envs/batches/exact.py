@@ -24,7 +24,7 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
-from jackbox_env.simulators.exact import NO_PIECES, ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -84,7 +84,8 @@ class ExactBatch:
         ranges = len(blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
-        self._calls: list[Call] | None = self._new_calls()
+        self._calls: list[Call] | None = None
+        self._packed: Scenes | None = None  # those in the arguments of these calls
 
     def _new_calls(self) -> list[Call]:
         return [Call(new_memory(self._present.blocks.shape[2])) for _ in range(self._threads.count)]
@@ -98,13 +99,15 @@ class ExactBatch:
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._kind = SHARES if plain else workspace.ACTIONS
-        self._addresses = (
+        steps, max_contact_steps = self._repeat
+        self._rules = Rules(
+            self._dt, steps, self._limits.steps, self._kind, False, max_contact_steps, self._limits.decisions,
             address_of(scorer, score.block_scorer), address_of(observer, score.block_observer),
-            address_of(actor, score.block_actor),
+            address_of(actor, score.block_actor), run.PATIENCE,
         )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_compiled": None, "_addresses": None, "_calls": None}  # addresses are of this process
+        return {**vars(self), "_compiled": None, "_rules": None, "_calls": None}  # addresses are of this process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -310,32 +313,26 @@ class ExactBatch:
     def step(self, actions: Array | None) -> Outcome:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
         self._settle()
-        count, halt, (steps, max_contact_steps), present = self._count, Halt(), self._repeat, self._present
+        count, halt, steps, present = self._count, Halt(), self._repeat.steps, self._present
         terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
         filled = Results(
             np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
             np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
         )  # fmt: skip
-        scenes, limits = self._scenes_of_steps(int(actions is not None), steps), self._limits
-        rules = Rules(
-            self._dt,
-            steps,
-            limits.steps,
-            self._kind,
-            False,
-            max_contact_steps,
-            limits.decisions,
-            *self._addresses,
-            run.PATIENCE,
-        )
-        spare, calls = self._spare, self._calls
+        scenes = self._scenes_of_steps(int(actions is not None), steps)
+        controls = _NO_ACTIONS if actions is None else actions
         before = present.blocks.copy() if steps > 1 else present.blocks  # several steps overwrite it
-        spare = np.zeros_like(before) if spare is None else spare
-        calls = self._new_calls() if calls is None else calls
-        for call in calls:
-            call.prepare(scenes, rules, before, spare, _NO_ACTIONS if actions is None else actions, filled)
+        spare, calls, packed = self._spare, self._calls, self._packed
         self._spare = self._calls = None
+        spare = np.zeros_like(before) if spare is None else spare
+        if calls is None or packed is not scenes:
+            calls = self._new_calls() if calls is None else calls
+            for call in calls:
+                call.prepare(scenes, self._rules, before, spare, controls, filled)
+        else:
+            for call in calls:
+                call.prepare_again(before, spare, controls, filled)
         loop = compiled(run.run)
 
         # Threads that a second interruption left at work keep alive what the loop calls by its address.
@@ -349,6 +346,7 @@ class ExactBatch:
 
         width = before.shape[2]
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
+        self._packed = scenes
         self._calls = calls
         failures = [(made, number, ended) for ended, number, made, *_ in parts if ended]
         if failures:
@@ -376,7 +374,7 @@ class ExactBatch:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
         scenes = self._present.scenes
         if not scenes.cutting[torque]:
-            return Scenes(scenes.values, scenes.scene_params, scenes.kinds[torque], *NO_PIECES)
+            return scenes.plain[torque]
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
 

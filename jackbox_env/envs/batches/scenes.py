@@ -14,7 +14,7 @@ from jackbox_env.exact.workspace import SCENE_PARAMS, Scenes
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
+from jackbox_env.simulators.exact import NO_PIECES, NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
 
 AnyDrive = Chirp | Drive | None
 
@@ -59,6 +59,8 @@ class SceneTable:
         )
         self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cutting = [bool(np.isin(column, WITH_PIECES).any()) for column in columns]
+        # For steps that need no pieces: the same object until kinds change.
+        self.plain = [Scenes(self.values, self.scene_params, column, *NO_PIECES) for column in self.kinds]
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""
