@@ -7,11 +7,19 @@ marked for ``step.py``. The law of motion is that of ``flight.free_flight`` unde
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
 from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
-from jackbox_env.exact.search import STEEPEST, centre_curvature_of, farthest, stays_off
+from jackbox_env.exact.search import (
+    STEEPEST,
+    centre_curvature_of,
+    farthest,
+    feet_stay_off,
+    foot_curvature_of,
+    stays_off,
+)
 from jackbox_env.exact.step import StepParameters
 from jackbox_env.exact.workspace import (
     AHEAD,
@@ -23,6 +31,7 @@ from jackbox_env.exact.workspace import (
     HITS,
     IMPULSE_SUM,
     INERTIA,
+    JACK_ARM,
     LANE_COSINE,
     LANE_CURVATURE,
     LANE_INDEX,
@@ -135,9 +144,10 @@ def mark_near(dt: float, block: Block) -> None:
 
 
 def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
-    """Remove the mark of rows whose feet stay off every wall: ``search.walls_in_reach``, many rows at a time.
+    """Remove the mark of rows whose feet stay off every wall, many rows at a time.
 
-    The marked rows are first gathered at the front; a gathered row never overwrites one still to be read.
+    The first test is of the circle through the feet, ``search.walls_in_reach``, the second one of the feet. The marked
+    rows are first gathered at the front; a gathered row never overwrites one still to be read.
     """
     before, scratch, near, scenes = block.before, block.scratch, block.scratch[NEAR], block.scene_params
     x, y, vx, vy, alpha = scratch[0], scratch[1], scratch[2], scratch[3], scratch[ALPHA_BOUND]
@@ -155,7 +165,9 @@ def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
         cosine[j] = before[THETA_BOX, k]  # the angle, which its cosine replaces below
         omega[j], alpha[j] = before[OMEGA_BOX, k], abs(scratch[TURNING, k])
         room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
-        off[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) and alpha[j] < STEEPEST else 0.0
+        if not is_ordinary(before[:, k], scenes[ORDINARY, k]):
+            alpha[j] = math.inf  # it passes no test
+        off[j] = 1.0 if alpha[j] < STEEPEST else 0.0
     for j in range(count):
         cosine[j], sine[j] = cos_sin_within(cosine[j])
     for j in range(count):
@@ -174,9 +186,43 @@ def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
             ahead_off = stays_off(room[j] - position[j], rate[j], dt, reach)
             behind_off = stays_off(room[j] + position[j], -rate[j], dt, reach)
             off[j] = off[j] if ahead_off & behind_off else 0.0
+    reached = 0
+    for j in range(count):
+        near[int(lane[j])] = 0.0 if off[j] != 0.0 else 1.0
+        lane[reached] = lane[j]
+        for row in (AHEAD, ASIDE, 0, 1, LANE_CURVATURE, ALPHA_BOUND, LANE_ROOM):
+            scratch[row, reached] = scratch[row, j]
+        reached += 1 if off[j] == 0.0 else 0
+    clear_marks_by_foot_distance(dt, block, reached)
+
+
+def clear_marks_by_foot_distance(dt: float, block: Block, count: int) -> None:
+    """Remove the mark of those of the first ``count`` gathered rows whose feet stay off every wall."""
+    before, scratch, scenes = block.before, block.scratch, block.scene_params
+    cosine, sine, spin, arm, off = scratch[LANE_COSINE], scratch[LANE_SINE], scratch[2], scratch[3], scratch[STAYS_OFF]
+    ahead, aside, ahead_rate, aside_rate = scratch[AHEAD], scratch[ASIDE], scratch[0], scratch[1]
+    room, curvature, alpha, lane = (
+        scratch[LANE_ROOM],
+        scratch[LANE_CURVATURE],
+        scratch[ALPHA_BOUND],
+        scratch[LANE_INDEX],
+    )
+    for j in range(count):
+        k = int(lane[j])
+        cosine[j] = before[THETA_JACK, k] - before[THETA_BOX, k]  # the angle, which its cosine replaces below
+        spin[j], arm[j] = before[OMEGA_JACK, k] - before[OMEGA_BOX, k], scenes[JACK_ARM, k]
+    for j in range(count):
+        cosine[j], sine[j] = cos_sin_within(cosine[j])
+    for j in range(count):
+        curvature[j] += foot_curvature_of(arm[j], abs(spin[j]) + alpha[j] * dt, alpha[j])
+    for j in range(count):
+        off[j] = 1.0 if feet_stay_off(
+            room[j], arm[j], ahead[j], aside[j], ahead_rate[j], aside_rate[j], cosine[j], sine[j], spin[j],
+            curvature[j], dt,
+        ) else 0.0  # fmt: skip
     for j in range(count):
         if off[j] != 0.0:
-            near[int(lane[j])] = 0.0
+            scratch[NEAR, int(lane[j])] = 0.0
 
 
 def is_ordinary(state: Array, most: float) -> bool:

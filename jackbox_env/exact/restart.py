@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.exact.glide import ordinary
 from jackbox_env.exact.step import CONSTANT, make_parameters
-from jackbox_env.exact.workspace import CLEAR, FALL, INERTIA, LIMIT, ORDINARY, ROOM, make_numbers
+from jackbox_env.exact.workspace import CLEAR, FALL, INERTIA, JACK_ARM, LIMIT, ORDINARY, ROOM, make_numbers
 from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
 from jackbox_env.model.tasks import start_pose
@@ -64,6 +64,7 @@ def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> No
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
         lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear
         lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
+        lane[JACK_ARM] = scene.jack_arm
 
 
 def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) -> None:

@@ -32,6 +32,7 @@ from jackbox_env.exact.workspace import Status, Workspace
 from jackbox_env.model.scene import SceneNumbers
 
 _SLACK = 1.0 + 1e-12  # for the rounding of bounds
+_MARGIN = 1e-9  # of L: more than a contact tolerance, also at angles of 1e6 rad
 
 
 class Bounds(NamedTuple):
@@ -66,7 +67,12 @@ def bounds_of(
     centre_curvature = centre_curvature_of(
         flight.vx, flight.vy, flight.omega, far, scene.gravity + max_acceleration, max_angular_acceleration, horizon
     )
-    return Bounds(far, centre_curvature, scene.jack_arm * (spin * spin + max_angular_acceleration) * _SLACK)
+    return Bounds(far, centre_curvature, foot_curvature_of(scene.jack_arm, spin, max_angular_acceleration))
+
+
+def foot_curvature_of(arm: float, spin: float, max_angular_acceleration: float) -> float:
+    """Bound of the second derivative of n . o, along a wall's normal [m/s^2]; ``spin`` [rad/s] bounds the jack's."""
+    return arm * (spin * spin + max_angular_acceleration) * _SLACK
 
 
 def centre_curvature_of(
@@ -140,6 +146,33 @@ def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
     It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
     """
     return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
+
+
+def feet_stay_off(
+    room: float, arm: float, ahead: float, aside: float, ahead_rate: float, aside_rate: float, cosine: float,
+    sine: float, spin: float, curvature: float, horizon: float,
+) -> bool:  # fmt: skip
+    """Whether no foot touches a wall for ``horizon`` [s]: the test of :func:`first_of_all` for all walls and feet.
+
+    The smallest gap + gap' s - K s^2 / 2 of the 16 follows from two maxima, because opposite walls and feet have
+    opposite signs. It must exceed a margin that covers rounding and every contact tolerance.
+
+    Args:
+        room: distance of the centres at which the jack's feet reach a wall [m].
+        arm: of the jack [m].
+        ahead: coordinate of the jack's centre along one axis of the box [m]; then along the other, and both rates.
+        cosine: of the jack's angle relative to the box; then its sine, and the angle's rate ``spin`` [rad/s].
+        curvature: bound K of a gap's second derivative [m/s^2].
+        horizon: [s].
+    """
+    half_width = room + arm
+    margin = _MARGIN * half_width
+    now = max(abs(ahead), abs(aside)) + arm * max(abs(cosine), abs(sine))
+    centre = max(abs(ahead + ahead_rate * horizon), abs(aside + aside_rate * horizon))
+    turned = spin * horizon
+    feet = arm * max(abs(cosine - sine * turned), abs(sine + cosine * turned))
+    later = centre + feet + 0.5 * curvature * horizon * horizon
+    return bool((half_width - now > margin) & (half_width - later > margin))
 
 
 def parabola_root(gap: float, rate: float, curvature: float) -> float:

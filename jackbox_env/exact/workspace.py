@@ -95,7 +95,8 @@ FALL = 2  # speed that the jack gains in a step [m/s]
 CLEAR = 3  # squared centre distance within which contact is impossible [m^2], as in ``step.StepParameters``
 ROOM = 4  # distance of the centres at which the jack's feet reach a wall [m]
 ORDINARY = 5  # bound of ordinary numbers of the state, see ``glide.ordinary``
-SCENE_PARAMS = 6
+JACK_ARM = 6  # of the jack [m]
+SCENE_PARAMS = 7
 # Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HITS, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
