@@ -7,7 +7,6 @@ marked for ``step.py``. The law of motion is that of ``flight.free_flight`` unde
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
@@ -15,10 +14,9 @@ from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
 from jackbox_env.exact.search import (
     STEEPEST,
     centre_curvature_of,
+    clearance_of_all,
     farthest,
-    feet_stay_off,
     foot_curvature_of,
-    stays_off,
 )
 from jackbox_env.exact.step import StepParameters
 from jackbox_env.exact.workspace import (
@@ -27,11 +25,13 @@ from jackbox_env.exact.workspace import (
     APPLIED,
     ASIDE,
     CLEAR,
+    CLEARANCE,
     FALL,
     HITS,
     IMPULSE_SUM,
     INERTIA,
     JACK_ARM,
+    LANE_ARM,
     LANE_COSINE,
     LANE_CURVATURE,
     LANE_INDEX,
@@ -39,11 +39,14 @@ from jackbox_env.exact.workspace import (
     LANE_PULL,
     LANE_ROOM,
     LANE_SINE,
+    LANE_SPIN,
     NEAR,
     ORDINARY,
+    ORDINARY_LANE,
     OVER,
+    RELATIVE_COSINE,
+    RELATIVE_SINE,
     ROOM,
-    STAYS_OFF,
     TIME,
     TORQUE,
     TURNING,
@@ -140,21 +143,21 @@ def mark_near(dt: float, block: Block) -> None:
     for k in range(count):
         free = stays_clear(x[k], y[k], vx[k], vy[k], fall[k], dt, clear[k]) & (abs(alpha[k]) < STEEPEST)
         near[k] = 0.0 if free else 1.0
-    clear_marks_by_wall_distance(dt, block)
+    clear_marks(dt, block)
 
 
-def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
-    """Remove the mark of rows whose feet stay off every wall, many rows at a time.
+def clear_marks(dt: float, block: Block) -> None:
+    """Remove the mark of rows whose feet stay off every wall, by ``search.clearance_of_all``, many rows at a time.
 
-    The first test is of the circle through the feet, ``search.walls_in_reach``, the second one of the feet. The marked
-    rows are first gathered at the front; a gathered row never overwrites one still to be read.
+    The marked rows are first gathered at the front; a gathered row never overwrites one still to be read.
     """
     before, scratch, near, scenes = block.before, block.scratch, block.scratch[NEAR], block.scene_params
     x, y, vx, vy, alpha = scratch[0], scratch[1], scratch[2], scratch[3], scratch[ALPHA_BOUND]
     cosine, sine, omega = scratch[LANE_COSINE], scratch[LANE_SINE], scratch[LANE_OMEGA]
-    ahead, aside = scratch[AHEAD], scratch[ASIDE]
-    curvature, lane, room, pull = scratch[LANE_CURVATURE], scratch[LANE_INDEX], scratch[LANE_ROOM], scratch[LANE_PULL]
-    off = scratch[STAYS_OFF]
+    relative_cosine, relative_sine, spin = scratch[RELATIVE_COSINE], scratch[RELATIVE_SINE], scratch[LANE_SPIN]
+    ahead, aside, arm, room = scratch[AHEAD], scratch[ASIDE], scratch[LANE_ARM], scratch[LANE_ROOM]
+    curvature, lane, pull = scratch[LANE_CURVATURE], scratch[LANE_INDEX], scratch[LANE_PULL]
+    ordinary_lane, clearance = scratch[ORDINARY_LANE], scratch[CLEARANCE]
     count = 0
     for k in range(block.size):
         lane[count] = k
@@ -162,14 +165,16 @@ def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
     for j in range(count):
         k = int(lane[j])
         x[j], y[j], vx[j], vy[j] = x[k], y[k], vx[k], vy[k]
-        cosine[j] = before[THETA_BOX, k]  # the angle, which its cosine replaces below
-        omega[j], alpha[j] = before[OMEGA_BOX, k], abs(scratch[TURNING, k])
-        room[j], pull[j] = scenes[ROOM, k], scenes[FALL, k] / dt
-        if not is_ordinary(before[:, k], scenes[ORDINARY, k]):
-            alpha[j] = math.inf  # it passes no test
-        off[j] = 1.0 if alpha[j] < STEEPEST else 0.0
+        # The angles, which their cosines replace below.
+        cosine[j], relative_cosine[j] = before[THETA_BOX, k], before[THETA_JACK, k] - before[THETA_BOX, k]
+        omega[j], spin[j] = before[OMEGA_BOX, k], before[OMEGA_JACK, k] - before[OMEGA_BOX, k]
+        alpha[j], pull[j] = abs(scratch[TURNING, k]), scenes[FALL, k] / dt
+        room[j], arm[j] = scenes[ROOM, k], scenes[JACK_ARM, k]
+        ordinary_lane[j] = 1.0 if is_ordinary(before[:, k], scenes[ORDINARY, k]) and alpha[j] < STEEPEST else 0.0
     for j in range(count):
         cosine[j], sine[j] = cos_sin_within(cosine[j])
+    for j in range(count):
+        relative_cosine[j], relative_sine[j] = cos_sin_within(relative_cosine[j])
     for j in range(count):
         far = farthest(x[j], y[j], vx[j], vy[j], pull[j], 0.0, dt)
         curvature[j] = centre_curvature_of(vx[j], vy[j], omega[j], far, pull[j], alpha[j], dt)
@@ -180,49 +185,14 @@ def clear_marks_by_wall_distance(dt: float, block: Block) -> None:
         ahead_rate[j] = on_axes(cosine[j], sine[j], vx[j], vy[j])[0] + omega[j] * aside[j]
     for j in range(count):
         aside_rate[j] = on_axes(cosine[j], sine[j], vx[j], vy[j])[1] - omega[j] * ahead[j]
-    for position, rate in ((ahead, ahead_rate), (aside, aside_rate)):
-        for j in range(count):
-            reach = 0.5 * curvature[j] * dt * dt
-            ahead_off = stays_off(room[j] - position[j], rate[j], dt, reach)
-            behind_off = stays_off(room[j] + position[j], -rate[j], dt, reach)
-            off[j] = off[j] if ahead_off & behind_off else 0.0
-    reached = 0
     for j in range(count):
-        near[int(lane[j])] = 0.0 if off[j] != 0.0 else 1.0
-        lane[reached] = lane[j]
-        for row in (AHEAD, ASIDE, 0, 1, LANE_CURVATURE, ALPHA_BOUND, LANE_ROOM):
-            scratch[row, reached] = scratch[row, j]
-        reached += 1 if off[j] == 0.0 else 0
-    clear_marks_by_foot_distance(dt, block, reached)
-
-
-def clear_marks_by_foot_distance(dt: float, block: Block, count: int) -> None:
-    """Remove the mark of those of the first ``count`` gathered rows whose feet stay off every wall."""
-    before, scratch, scenes = block.before, block.scratch, block.scene_params
-    cosine, sine, spin, arm, off = scratch[LANE_COSINE], scratch[LANE_SINE], scratch[2], scratch[3], scratch[STAYS_OFF]
-    ahead, aside, ahead_rate, aside_rate = scratch[AHEAD], scratch[ASIDE], scratch[0], scratch[1]
-    room, curvature, alpha, lane = (
-        scratch[LANE_ROOM],
-        scratch[LANE_CURVATURE],
-        scratch[ALPHA_BOUND],
-        scratch[LANE_INDEX],
-    )
+        foot_curvature = foot_curvature_of(arm[j], abs(spin[j]) + alpha[j] * dt, alpha[j])
+        clearance[j] = clearance_of_all(
+            room[j], arm[j], ahead[j], aside[j], ahead_rate[j], aside_rate[j], relative_cosine[j], relative_sine[j],
+            spin[j], curvature[j], foot_curvature, dt,
+        )  # fmt: skip
     for j in range(count):
-        k = int(lane[j])
-        cosine[j] = before[THETA_JACK, k] - before[THETA_BOX, k]  # the angle, which its cosine replaces below
-        spin[j], arm[j] = before[OMEGA_JACK, k] - before[OMEGA_BOX, k], scenes[JACK_ARM, k]
-    for j in range(count):
-        cosine[j], sine[j] = cos_sin_within(cosine[j])
-    for j in range(count):
-        curvature[j] += foot_curvature_of(arm[j], abs(spin[j]) + alpha[j] * dt, alpha[j])
-    for j in range(count):
-        off[j] = 1.0 if feet_stay_off(
-            room[j], arm[j], ahead[j], aside[j], ahead_rate[j], aside_rate[j], cosine[j], sine[j], spin[j],
-            curvature[j], dt,
-        ) else 0.0  # fmt: skip
-    for j in range(count):
-        if off[j] != 0.0:
-            scratch[NEAR, int(lane[j])] = 0.0
+        near[int(lane[j])] = 0.0 if clearance[j] > 0.0 and ordinary_lane[j] != 0.0 else 1.0
 
 
 def is_ordinary(state: Array, most: float) -> bool:

@@ -22,6 +22,7 @@ from jackbox_env.exact.workspace import (
     DECISIONS,
     HITS,
     IMPULSE_SUM,
+    LEFT,
     LIMIT,
     NEAR,
     OVER,
@@ -138,12 +139,16 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         act = block_actor(call.rules.act)
         return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
-    unusable = 0
+    own, usable = step_controls[block.first : block.first + block.size], 0
+    if call.rules.kind == SHARES:
+        for lane in range(block.size):
+            torque[lane] = max(-1.0, min(1.0, own[lane])) * limit[lane]
+    else:
+        for lane in range(block.size):
+            torque[lane] = own[lane]
     for lane in range(block.size):
-        control = step_controls[block.first + lane]
-        torque[lane] = max(-1.0, min(1.0, control)) * limit[lane] if call.rules.kind == SHARES else control
-        unusable += 0 if abs(control) < math.inf else 1
-    return first_unusable(block, step_controls) if unusable else -1
+        usable += 1 if abs(own[lane]) < math.inf else 0
+    return -1 if usable == block.size else first_unusable(block, step_controls)
 
 
 def first_unusable(block: Block, numbers: Array) -> int:
@@ -184,17 +189,16 @@ def step_lanes(
     before, after, scratch, already = block.before, block.after, block.scratch, recorded
     call = arguments_at(address)
     scenes, memory, log, nonsmooth = call.scenes, call.memory.workspaces[0], call.memory.log, call.results.nonsmooth
-    varied, first = scenes.values.shape[0] > 1, memory.lane
+    varied, first, left = scenes.values.shape[0] > 1, memory.lane, scratch[LEFT]
+    mark_left(params, scenes, block, memory.glided != 0)
     for lane in range(first, block.size):
-        if before[OVER, lane] != 0.0:
+        if left[lane] == 0.0:
             continue
         time = before[TIME, lane]
         if time + params.dt == time or time + params.dt > LATEST_TIME:
             return Status.TOO_LATE, lane, recorded
         row = block.first + lane
         kind = scenes.kinds[row] if varied else params.kind
-        if memory.glided != 0 and scratch[NEAR, lane] == 0.0 and (kind == CONSTANT or not varied):
-            continue
         if memory.work > call.rules.patience and lane > first:
             memory.lane = lane
             return Status.PAUSED, lane, recorded
@@ -221,6 +225,18 @@ def step_lanes(
         scratch[HITS, lane], scratch[IMPULSE_SUM, lane] = memory.hits, memory.impulse
         memory.work += effort(memory)
     return Status.DONE, -1, recorded
+
+
+def mark_left(params: StepParameters, scenes: Scenes, block: Block, glided: bool) -> None:
+    """Mark the rows that are left to :func:`step_lanes`, those whose time ends among them."""
+    over, time, near, left = block.before[OVER], block.before[TIME], block.scratch[NEAR], block.scratch[LEFT]
+    for lane in range(block.size):
+        end = time[lane] + params.dt
+        on_time = (end != time[lane]) & (end <= LATEST_TIME)
+        left[lane] = 0.0 if (over[lane] != 0.0) | (on_time & glided & (near[lane] == 0.0)) else 1.0
+    for lane in range(block.size if glided and scenes.values.shape[0] > 1 else 0):
+        if scenes.kinds[block.first + lane] != CONSTANT and over[lane] == 0.0:
+            left[lane] = 1.0
 
 
 def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
@@ -296,7 +312,7 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     ended some. ``made``: steps of this call, with this one.
     """
     before, after, first, count = block.before, block.after, block.first, block.size
-    terminations, truncations = results.terminations, results.truncations
+    terminations, truncations = results.terminations[first : first + count], results.truncations[first : first + count]
     time, steps, over = before[TIME], before[STEPS], before[OVER]
     new_time, new_steps, new_over = after[TIME], after[STEPS], after[OVER]
     ended = 0
@@ -309,9 +325,9 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
-        truncations[first + k] |= new_over[k] != 0.0 and over[k] == 0.0
+        truncations[k] |= new_over[k] != 0.0 and over[k] == 0.0
     for k in range(count if ends and not rules.continue_after_done else 0):
-        new_over[k] = 1.0 if terminations[first + k] else new_over[k]
+        new_over[k] = 1.0 if terminations[k] else new_over[k]
     for k in range(count):
         ended += 1 if new_over[k] != 0.0 else 0
     if rules.max_contact_steps > 0:

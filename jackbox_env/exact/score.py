@@ -109,14 +109,15 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
+    rows = observations[low : low + count]
     if values.shape[0] == 1:
         scene = make_numbers(values[0])
         for k in range(count):
-            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
     else:
         for k in range(count):
             row_scene = make_numbers(values[low + k])
-            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
+            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
     return -1
 
 
@@ -290,25 +291,26 @@ def score_block(
     """
     torque, hits, impulses, unusable = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM], 0
     ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
+    rewards, terminations = rewards[first : first + count], terminations[first : first + count]  # of the block
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
-            rewards[first + k] = total(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
+            rewards[k] = total(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
         for k in range(count):
             if task_over(scene, state_in(after[:, k]), torque[k], impulses[k]):
-                terminations[first + k] = True
+                terminations[k] = True
                 ends += 1
     else:
         for k in range(count):
-            rewards[first + k] = 0.0
+            rewards[k] = 0.0
             if over[k] == 0.0:
                 row_scene = make_numbers(values[first + k if several else 0])
-                rewards[first + k] = total(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+                rewards[k] = total(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
                 if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
-                    terminations[first + k] = True
+                    terminations[k] = True
                     ends += 1
     for k in range(count):
-        unusable += 0 if abs(rewards[first + k]) < math.inf else 1
+        unusable += 0 if abs(rewards[k]) < math.inf else 1
     for k in range(count if reports.shape[0] else 0):
         if over[k] == 0.0:
             report = reports[first + k]

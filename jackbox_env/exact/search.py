@@ -148,31 +148,32 @@ def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
     return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
 
 
-def feet_stay_off(
+def clearance_of_all(
     room: float, arm: float, ahead: float, aside: float, ahead_rate: float, aside_rate: float, cosine: float,
-    sine: float, spin: float, curvature: float, horizon: float,
-) -> bool:  # fmt: skip
-    """Whether no foot touches a wall for ``horizon`` [s]: the test of :func:`first_of_all` for all walls and feet.
+    sine: float, spin: float, centre_curvature: float, foot_curvature: float, horizon: float,
+) -> float:  # fmt: skip
+    """A number [m] that is positive only if no foot touches a wall for ``horizon`` [s].
 
-    The smallest gap + gap' s - K s^2 / 2 of the 16 follows from two maxima, because opposite walls and feet have
-    opposite signs. It must exceed a margin that covers rounding and every contact tolerance.
+    It is the larger of two lower bounds, for all walls and feet at once: of the room of the circle through the feet, as
+    :func:`stays_off` tests it, and of gap + gap' s - K s^2 / 2, as :func:`first_of_all` does. Opposite walls, and
+    opposite feet, have opposite signs, so two maxima are enough. A margin covers rounding and every contact tolerance.
 
     Args:
         room: distance of the centres at which the jack's feet reach a wall [m].
         arm: of the jack [m].
         ahead: coordinate of the jack's centre along one axis of the box [m]; then along the other, and both rates.
         cosine: of the jack's angle relative to the box; then its sine, and the angle's rate ``spin`` [rad/s].
-        curvature: bound K of a gap's second derivative [m/s^2].
+        centre_curvature: bound of |(n . r)''| [m/s^2]; then ``foot_curvature`` of |(n . o)''|.
         horizon: [s].
     """
-    half_width = room + arm
-    margin = _MARGIN * half_width
-    now = max(abs(ahead), abs(aside)) + arm * max(abs(cosine), abs(sine))
-    centre = max(abs(ahead + ahead_rate * horizon), abs(aside + aside_rate * horizon))
-    turned = spin * horizon
-    feet = arm * max(abs(cosine - sine * turned), abs(sine + cosine * turned))
-    later = centre + feet + 0.5 * curvature * horizon * horizon
-    return bool((half_width - now > margin) & (half_width - later > margin))
+    bend, turned = 0.5 * horizon * horizon, spin * horizon
+    now = max(abs(ahead), abs(aside))
+    later = max(abs(ahead + ahead_rate * horizon), abs(aside + aside_rate * horizon)) + bend * centre_curvature
+    reach = max(abs(cosine), abs(sine))
+    later_reach = max(abs(cosine - sine * turned), abs(sine + cosine * turned))
+    circle = room - max(now, later)
+    feet = room + arm - max(now + arm * reach, later + arm * later_reach + bend * foot_curvature)
+    return max(circle, feet) - _MARGIN * (room + arm)
 
 
 def parabola_root(gap: float, rate: float, curvature: float) -> float:

@@ -100,13 +100,15 @@ SCENE_PARAMS = 7
 # Rows of a thread's memory for a block of environments, (SCRATCH, width); 0 to 3 are scratch.
 TORQUE, TURNING = 4, 5  # mean over the step [N m]; angular acceleration of the box [rad/s^2], or a bound of it
 NEAR, HITS, IMPULSE_SUM = 6, 7, 8  # whether a foot may touch a wall; impacts, their impulse [N s]
-# Rows of lanes near a wall, gathered at the front by ``glide.clear_marks_by_wall_distance``.
+# Rows of lanes near a wall, gathered at the front by ``glide.clear_marks``.
 ALPHA_BOUND, LANE_COSINE, LANE_SINE, AHEAD, ASIDE, LANE_OMEGA = range(9, 15)
-LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, STAYS_OFF = range(15, 20)
-UNSCORED = 20  # whether a row earns nothing because its episode is over
-SEPARATED = 21  # whether a step of the call had no impact
-APPLIED = 22  # torque of the controls [N m]
-SCRATCH = 23
+LANE_CURVATURE, LANE_INDEX, LANE_ROOM, LANE_PULL, ORDINARY_LANE = range(15, 20)
+RELATIVE_COSINE, RELATIVE_SINE, LANE_SPIN, LANE_ARM, CLEARANCE = range(20, 25)
+UNSCORED = 25  # whether a row earns nothing because its episode is over
+SEPARATED = 26  # whether a step of the call had no impact
+APPLIED = 27  # torque of the controls [N m]
+LEFT = 28  # whether a row is left to be stepped alone
+SCRATCH = 29
 
 
 def _layout(record: type[np.record]) -> np.dtype[Any]:
