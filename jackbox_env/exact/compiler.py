@@ -102,6 +102,15 @@ def returned_by(function: Callable[..., Any], further: tuple[Any, ...]) -> Any:
     return dispatcher.nopython_signatures[0].return_type
 
 
+def inlined(function: F) -> F:
+    """Mark a function that is compiled into each of its callers: faster than passing many numbers to it and back."""
+    _INLINED.add(function)
+    return function
+
+
+_INLINED: set[Callable[..., Any]] = set()
+
+
 @cache
 def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_disk: bool) -> Any:
     with _LOCK:
@@ -141,7 +150,9 @@ class _Compilation:
             twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
             twin.__module__ = function.__module__
             twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
-            self._twins[function, inner] = _jitted(twin, inner, foreign and self._users, self._on_disk and not inner)
+            self._twins[function, inner] = _jitted(
+                twin, inner, inner and function in _INLINED, foreign and self._users, self._on_disk and not inner
+            )
         return self._twins[function, inner]
 
     def _counterparts(self, names: set[str], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -182,7 +193,7 @@ def _signed(default: Any) -> Any:
     return _MinusZero(default) if minus_zero else default
 
 
-def _jitted(twin: FunctionType, inner: bool, checked: bool, on_disk: bool) -> Any:
+def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
     from numba import config, njit
     from numba.core.compiler import Compiler
 
@@ -197,7 +208,7 @@ def _jitted(twin: FunctionType, inner: bool, checked: bool, on_disk: bool) -> An
     pipeline = InnerCompiler if inner else Compiler if on_disk else FreedCompiler
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
-        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, pipeline_class=pipeline,
+        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, forceinline=inline, pipeline_class=pipeline,
     )(twin)  # fmt: skip
     if on_disk:  # njit(cache=True) would set numba's own cache here
         dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name())

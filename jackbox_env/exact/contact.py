@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.model.complementarity import mass_scale, nearest
@@ -29,6 +30,7 @@ SLOW = 1e-6  # of v0: rounding hides the derivative of a slower impact
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside is less deep
 
 
+@inlined
 def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wall: int, foot: int) -> int:
     """List the contacts within ``resolution`` [m], and that of ``wall`` and ``foot``; return how many there are."""
     contacts = memory.contacts

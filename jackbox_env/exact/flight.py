@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
 
+from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, cos_sin, foot_gap, towards, view_of
 from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, HeldFeet, Workspace
 from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
@@ -236,6 +237,7 @@ def driven_at(flight: Flight, memory: Workspace, s: float) -> tuple[float, float
     return turn, horner(memory.powers[3 * PUSH_X], DEGREE, u), horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
+@inlined
 def view_at(flight: Flight, memory: Workspace, s: float) -> View:
     """The jack relative to the box ``s`` [s] into the flight."""
     x = flight.x + flight.vx * s
@@ -254,6 +256,7 @@ def view_at(flight: Flight, memory: Workspace, s: float) -> View:
     return view_of(box_frame(x, y, vx, vy, angle, omega), jack_angle - angle, flight.jack_omega - omega, s)
 
 
+@inlined
 def evolve(memory: Workspace, flight: Flight, s: float) -> None:
     """Fly for ``s`` [s]: move the state."""
     state = memory.state
@@ -315,6 +318,7 @@ def free_flight(before: Array, after: Array, fall: float, dt: float, alpha: floa
     after[OMEGA_JACK] = before[OMEGA_JACK]
 
 
+@inlined
 def gap_at(
     scene: SceneNumbers, flight: Flight, memory: Workspace, wall: int, foot: int, s: float
 ) -> tuple[float, float]:

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.contact import deepest, widened
 from jackbox_env.exact.flight import Flight, Piece, gap_at, view_at
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, foot_gap, towards, view_of
@@ -230,6 +231,7 @@ def is_chattering(scene: SceneNumbers, memory: Workspace) -> bool:
     return bool(memory.impulse <= 1e-3 * scene.jack_mass * scene.speed_scale * memory.hits)
 
 
+@inlined
 def first_impact(
     scene: SceneNumbers,
     memory: Workspace,
@@ -272,6 +274,7 @@ def first_impact(
     return first_of_all(scene, memory, flight, view, walls, none, limits, resolution)
 
 
+@inlined
 def first_of_all(
     scene: SceneNumbers, memory: Workspace, flight: Flight, view: View, walls: int, likely: Event,
     limits: Limits, resolution: float,
@@ -384,6 +387,7 @@ def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: flo
     return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
 
 
+@inlined
 def search(
     scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, wall: int, foot: int, s: float, gap: float,
     rate: float,

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
@@ -168,6 +169,7 @@ def tolerances_of(params: StepParameters, before: Array) -> ContactTolerances:
     return ContactTolerances(tolerance, max(tolerance, _FOUR_ULPS * furthest))
 
 
+@inlined
 def enter_frame(params: StepParameters, before: Array, memory: Workspace) -> ContactTolerances:
     """Copy the state to ``memory.state``, in a frame at the box's centre; return the gaps at which feet touch.
 
@@ -204,6 +206,7 @@ def is_resolved(scene: SceneNumbers, state: Array) -> bool:
     return bool(max(max(position, angle), speed) < _LARGEST_RESOLVED)
 
 
+@inlined
 def leave_frame(
     ended: Status, params: StepParameters, before: Array, after: Array, memory: Workspace, log: Array
 ) -> Status:
