@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from functools import cache
 from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
@@ -111,6 +112,7 @@ LEFT = 28  # whether a row is left to be stepped alone
 SCRATCH = 29
 
 
+@cache
 def _layout(record: type[np.record]) -> np.dtype[Any]:
     """The layout of a record with these fields, with the shapes of arrays, and of records within it."""
     fields = []

@@ -25,6 +25,7 @@ from jackbox_env.exact.workspace import (
     SCENE_PARAMS,
     TIME,
     TORQUES,
+    WIDEST,
     WIDTH,
     Call,
     Results,
@@ -55,7 +56,7 @@ OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any
 _GRAIN = 1000  # steps in a call, at least
 FEWEST_PER_THREAD = 5000  # steps for each thread, at least
 _ROOM = 256  # impacts in a log at first
-_WIDTH = 32  # rows in a block
+_FEWEST, _PARTS = 32, 8  # rows in a block; blocks that threads share out, before a block has more rows
 
 
 Rewards = TypeVar("Rewards")
@@ -225,7 +226,8 @@ def run_rollouts(
     times = _times(time, dt, steps)
     ranges = count if options.num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(options.num_threads, ranges))
-    width = max(1, min(_WIDTH, count))  # of all numbers of threads, so that they name the same row in errors
+    # Of all numbers of threads, so that they name the same row in errors.
+    width = max(1, min(count, WIDEST, max(_FEWEST, count // _PARTS)))
     blocks = np.zeros((2, -(-count // width), WIDTH, width))
     _put_rows(blocks[0], starts, time)
     played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
