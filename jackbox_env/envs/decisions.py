@@ -74,12 +74,11 @@ def _control_step(
     if controls is not None:
         share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
         torque = share * simulator.scene.torque_limit
-    state, time, mean, impacts = simulator.step(dt, torque)
-    impulse = total_impulse(impacts)
+    stored, time, mean, impacts = simulator.advance(dt, torque)
+    state, impulse = np.array(stored), total_impulse(impacts) if impacts else 0.0
     observation, terms, over = functions.judge(state, time, mean, impulse, seen)
-    return ControlStep(
-        state, time, mean, impacts, impulse, terms, checked_reward(functions.nouns.task, terms), over, observation
-    )
+    reward = checked_reward(functions.nouns.task, terms)
+    return ControlStep(state, time, mean, impacts, impulse, terms, reward, over, observation)
 
 
 def added(parts: list[ControlStep]) -> ControlStep:

@@ -437,7 +437,11 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: AnyAction) -> float:
-        if not (type(action) is np.ndarray and action.dtype.char in "fd"):  # these are fast
+        if type(action) is np.ndarray and action.shape == (1,) and action.dtype.char in "fd":
+            value: float = action.item()
+            if -1.0 <= value <= 1.0:  # most often
+                return value * self._parts[0].scene.torque_limit
+        else:
             action = check.array("action", action, "be one finite number (clipped to [-1, 1])")
         if action.shape not in ((1,), ()):
             raise ValueError(f"action must have shape (1,), got shape {action.shape}")
@@ -452,8 +456,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             "state": of.state, "time": of.time, "torque": of.torque, "impacts": len(of.impacts), "impulse": of.impulse,
             "duration": steps * self._dt,
         }  # fmt: skip
-        for name, value in zip(self._terms, of.terms, strict=True):
-            info[name] = value
+        info.update(zip(self._terms, of.terms, strict=True))
         return info if self._randomize is None else info | self._drawn()
 
     def _drawn(self) -> dict[str, Any]:
