@@ -1,7 +1,7 @@
 """The motion between recorded moments: flight for any time from a state, as a step flies, without a search for impacts.
 
-:mod:`jackbox_env.recording.record` calls it. :func:`coast` stands for ``step.advance`` in the compiled code, so drives,
-frames and flight are those of a step: there is no other copy of them.
+:mod:`jackbox_env.recording` calls it. :func:`coast` stands for ``step.advance`` in the compiled code, so drives, frames
+and flight are those of a step: there is no other copy of them.
 """
 
 from __future__ import annotations

@@ -5,47 +5,44 @@ from __future__ import annotations
 import csv
 import importlib
 import json
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
-from jackbox_env.recording.motion import Motion
-from jackbox_env.simulators.base import Impact
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_file
-
-if TYPE_CHECKING:
-    import pandas
 
 Columns = dict[tuple[str, str], NDArray[Any]]  # by name and unit, "" without
 
 
-def save(motion: Motion, path: Path) -> list[Path]:
-    """:meth:`Motion.save`."""
+def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Columns]) -> list[Path]:
+    """Write the arrays of a motion to a new .npz or .mat file, or its tables of states and impacts to two .csv files.
+
+    Raises:
+        TypeError, ValueError, OSError, ImportError: as of ``Motion.save``.
+    """
     suffix = check.choice("the suffix of path", path.suffix, (".npz", ".csv", ".mat"))
     if suffix == ".csv":
-        return write_csv(motion, path, path.with_stem(f"{path.stem}_impacts"))
+        return write_csv(tables, path, path.with_stem(f"{path.stem}_impacts"))
     write: Any = np.savez
     if suffix == ".mat":
-        scipy: Any = _library("scipy.io", ".mat files", "SciPy", "train")
-        write = scipy.savemat
-    arrays = _arrays(motion)
+        write = _library("scipy.io", ".mat files", "SciPy", "train").savemat
     with new_file(path) as partial:
         write(partial, arrays) if suffix == ".mat" else write(partial, **arrays)
     return [path]
 
 
-def frame(motion: Motion) -> pandas.DataFrame:
-    """:meth:`Motion.to_frame`."""
+def frame(columns: Columns) -> Any:
+    """A pandas.DataFrame of columns, without units."""
     library: Any = _library("pandas", "to_frame", "pandas", "tables")
-    return library.DataFrame({name: numbers for (name, _), numbers in _states(motion).items()})
+    return library.DataFrame({name: numbers for (name, _), numbers in columns.items()})
 
 
-def write_csv(motion: Motion, states: Path, impacts: Path) -> list[Path]:
+def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> list[Path]:
     """Write a file of states (time, the 12 numbers, torque) and one of impacts, to new files; return them.
 
     Digits are in full. The first line names each column with its unit. A row's torque is the mean over the step that
@@ -54,7 +51,7 @@ def write_csv(motion: Motion, states: Path, impacts: Path) -> list[Path]:
     Raises:
         FileExistsError: a file is there already.
     """
-    for path, columns in ((states, _states(motion)), (impacts, _impacts(motion))):
+    for path, columns in zip((states, impacts), tables, strict=True):
         names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
         rows = zip(*(numbers.tolist() for numbers in columns.values()), strict=True)
         with new_file(path) as partial, partial.open("w", newline="") as file:
@@ -62,35 +59,23 @@ def write_csv(motion: Motion, states: Path, impacts: Path) -> list[Path]:
     return [states, impacts]
 
 
-def _states(motion: Motion) -> Columns:
-    torque = np.append(motion.mean_torques, np.nan)
-    return {("time", "s"): motion.t, **_by_name("", motion.states), ("torque", "N m"): torque}
+def write_scene(scene: Scene, path: Path) -> Path:
+    """Write the JSON of a scene's fields to a new file.
+
+    Raises:
+        FileExistsError: the file is there already.
+        ValueError: the scene's drive has no JSON form.
+    """
+    text = json.dumps(scene.as_dict(), indent=2) + "\n"
+    with new_file(path) as partial:
+        partial.write_text(text)
+    return path
 
 
-def _impacts(motion: Motion) -> Columns:
-    units = {"time": "s", "impulse": "N s"}
-    columns = {(name, units.get(name, "")): motion.impacts[name] for name in Impact._fields}
-    for side in motion.impacts.dtype.names[len(columns) :]:
-        columns |= _by_name(f"{side} ", motion.impacts[side])
-    return columns
-
-
-def _by_name(prefix: str, states: Array) -> Columns:
+def by_name(prefix: str, states: Array) -> Columns:
     """The columns of states, shape (n, 12)."""
     pairs = zip(STATE_NAMES, STATE_UNITS, states.T, strict=True)
     return {(f"{prefix}{name}", unit): numbers for name, unit, numbers in pairs}
-
-
-def _arrays(motion: Motion) -> dict[str, NDArray[Any]]:
-    """time (n,), state (n, 12), torque (n - 1,), impact_time (m,) and so on, and the JSON of the scene's fields.
-
-    Without the scene if its drive is of functions, which have no JSON form.
-    """
-    named = {"time": motion.t, "state": motion.states, "torque": motion.mean_torques}
-    named |= {f"impact_{name}": np.asarray(motion.impacts[name]) for name in motion.impacts.dtype.names}
-    with suppress(ValueError):
-        named["scene"] = np.array(json.dumps(motion.scene.as_dict()))
-    return named
 
 
 def _library(module: str, what: str, package: str, extra: str) -> Any:

@@ -1,11 +1,13 @@
-"""A motion: what ``jackbox_env.simulate`` returns, and what films, pages, plots and files of a simulation are made of."""
+"""A motion: what ``jackbox_env.simulate`` returns. Files, films, pages and plots of a simulation are made of it."""
 
 from __future__ import annotations
 
+import json
 import math
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,13 +15,12 @@ from numpy.typing import ArrayLike
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array, Counts
+from jackbox_env.recording.files import Columns, by_name, frame, save
 from jackbox_env.recording.record import Impacts, Record
+from jackbox_env.recording.recorder import restarted
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.replay import box_energy
 from jackbox_env.tools import checks as check
-
-if TYPE_CHECKING:
-    import pandas  # type: ignore[import-untyped]
 
 Side = Literal["before", "after"]
 
@@ -96,7 +97,7 @@ class Motion:
         return states.reshape(*shape, 12)
 
     def _times(self, t: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Checked times, flat, and their shape. Times that steps of dt add up are rounded: as far outside is allowed."""
+        """Checked times, flat, and their shape; the ends may be passed by what sums of steps are rounded."""
         self._record.refuse_no_states()
         array = check.array("t", t, "be times [s]").astype(np.float64)
         first, last = float(self.t[0]), float(self.t[-1])
@@ -141,7 +142,9 @@ class Motion:
         """Work between knots and states that follow them without an impact [J]."""
         start, end = self._record.knots.states[index].T, states.T
         flying = np.asarray(box_energy(self.scene, end)) - box_energy(self.scene, start)
-        return np.where(self._record.knots.held[index], energy_of(self.scene, end) - energy_of(self.scene, start), flying)
+        return np.where(
+            self._record.knots.held[index], energy_of(self.scene, end) - energy_of(self.scene, start), flying
+        )
 
     def restart(self, k: int, duration: float | None = None) -> Motion:
         """Simulate again from just after impact ``k``, under the same torque: the same bits, control step by step.
@@ -156,19 +159,17 @@ class Motion:
         Raises:
             TypeError, ValueError: there is no such impact, or a duration for which there are no torques.
         """
-        from jackbox_env.recording.simulation import restarted
-
         self._record.refuse_no_states()
         count = len(self.impacts)
         if not (isinstance(k, int | np.integer) and not isinstance(k, bool) and -count <= k < count):
             raise (ValueError if isinstance(k, int) else TypeError)(
                 f"k must be the number of one of {count} impacts, got {check.shown(k)}"
             )
-        end = float(self.t[-1])
+        row, end = int(self._rows[k]), None
         if duration is not None:
-            duration = check.real("duration", duration, above=0.0)
-            end = float(self.impacts["time"][k]) + duration
-        return restarted(self._record, int(self._rows[k]), end, duration is not None)
+            end = float(self.impacts["time"][k]) + check.real("duration", duration, above=0.0)
+        begin = row - int(np.searchsorted(self._record.steps, self._record.steps[row]))
+        return Motion(restarted(self._record, row, end), begin=begin, end=float(self.t[-1]) if end is None else end)
 
     @property
     def counts(self) -> Counts:
@@ -191,7 +192,7 @@ class Motion:
         drive, spans = self.scene.drive or Drive(), zip(self.t[:-1].tolist(), np.diff(self.t).tolist(), strict=True)
         return np.array([sum(drive.torque_means(start, length)) / 2.0 for start, length in spans])
 
-    def to_frame(self) -> pandas.DataFrame:
+    def to_frame(self) -> Any:
         """The states as a pandas.DataFrame: columns time, the 12 names of a state, torque; a row for each of ``t``.
 
         A row's torque is the mean over the control step that begins there; the last row's is NaN.
@@ -199,12 +200,14 @@ class Motion:
         Raises:
             ImportError: pandas is not installed.
         """
-        from jackbox_env.recording.files import frame
-
-        return frame(self)
+        return frame(self.tables()[0])
 
     def save(self, path: str | Path) -> list[Path]:
         """Write a new file by the suffix of its name: .npz, .csv or .mat. With .csv the impacts have a second file.
+
+        A file .npz or .mat has the arrays time (n,), state (n, 12), torque (n - 1,), the mean of each step, and
+        impact_time (m,) and so on; and the text ``scene``, the JSON of the scene's fields, unless its drive is of
+        functions.
 
         Returns:
             The new files.
@@ -214,6 +217,18 @@ class Motion:
             OSError: a file exists, or cannot be written.
             ImportError: .mat without SciPy.
         """
-        from jackbox_env.recording.files import save
+        named = {"time": self.t, "state": self.states, "torque": self.mean_torques}
+        named |= {f"impact_{name}": np.asarray(self.impacts[name]) for name in self.impacts.dtype.fields or ()}
+        with suppress(ValueError):  # a drive of functions has no JSON form
+            named["scene"] = np.array(json.dumps(self.scene.as_dict()))
+        return save(Path(path), named, self.tables())
 
-        return save(self, Path(path))
+    def tables(self) -> tuple[Columns, Columns]:
+        """The columns of states, with NaN for the torque after the last one, and those of impacts."""
+        torque = np.append(self.mean_torques, np.nan)
+        states = {("time", "s"): self.t, **by_name("", self.states), ("torque", "N m"): torque}
+        units = {"time": "s", "impulse": "N s"}
+        impacts = {(name, units.get(name, "")): self.impacts[name] for name in Impact._fields}
+        for side in [name for name in self.impacts.dtype.fields or () if name not in Impact._fields]:
+            impacts |= by_name(f"{side} ", self.impacts[side])
+        return states, impacts

@@ -1,4 +1,4 @@
-"""Samples of a trajectory between its stored states: the moments of its impacts, and points in flight.
+"""Samples of a motion between its stored states: the moments of its impacts, and points in flight.
 
 A stored state is the end of a control step, and impacts happen within steps. Here each step is replayed
 (:mod:`jackbox_env.simulators.replay`) by flight in closed form and the recorded impulses. There is a sample just before
@@ -20,7 +20,7 @@ import numpy as np
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
-from jackbox_env.recording.trajectory import Trajectory
+from jackbox_env.recording.motion import Motion
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
 
@@ -29,7 +29,7 @@ _REPLAY_TOLERANCE = 1e-6  # over L; a replay that ends further off had a foot at
 
 
 class Samples(NamedTuple):
-    """A trajectory between its stored states, in time order; two samples have one time where there is an impact."""
+    """A motion between its stored states, in time order; two samples have one time where there is an impact."""
 
     times: Array  # [s], (n,)
     states: Array  # SI units, (n, 12)
@@ -45,7 +45,7 @@ class _Sample(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """One step of a trajectory."""
+    """One step of a motion."""
 
     start: float  # [s]
     end: float  # [s]
@@ -92,30 +92,28 @@ class _Step(NamedTuple):
         return moment.time >= self.end and off > _REPLAY_TOLERANCE * scene.box_half_width
 
 
-def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
-    """The samples of a trajectory in a scene: all stored states, impacts, and flight at most 0.005 s apart."""
-    ends, states = trajectory.times.tolist(), trajectory.states.tolist()
-    constant_torques = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
-    samples, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
-    for number, count in enumerate(trajectory.counts.tolist()):
+def samples_of(motion: Motion) -> Samples:
+    """The samples of a motion: all stored states, impacts, and flight at most 0.005 s apart."""
+    scene, ends, states = motion.scene, motion.t.tolist(), motion.states.tolist()
+    constant_torques = [None] * len(ends) if motion.torques is None else motion.torques.tolist()
+    samples, impacts = [_Sample(ends[0], states[0], 0.0)], iter(motion.hits)
+    for number, count in enumerate(motion.counts.tolist()):
         hits, done = list(islice(impacts, count)), samples[-1].work
         step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, constant_torques[number])
         new = step.contact(scene) if step.impacts else step.flight(scene)
         samples += [one._replace(work=done + one.work) for one in new]
     times, states, work = zip(*samples, strict=True)
     energies = [energy_of(scene, state) for state in states]
-    torques = _torques(scene, trajectory, times)
-    return Samples(*map(np.array, (times, states, torques, energies, work)))
+    return Samples(*map(np.array, (times, states, _torques(motion, times), energies, work)))
 
 
-def _torques(scene: Scene, trajectory: Trajectory, times: Sequence[float]) -> list[float]:
+def _torques(motion: Motion, times: Sequence[float]) -> list[float]:
     """Mean torque since the sample before, for each sample [N m]; the first has that of the second."""
-    if not len(trajectory.torques):
+    if len(motion.t) == 1:
         return [0.0]
-    if not trajectory.driven:
-        ends = np.searchsorted(trajectory.times[1:], times)
-        return trajectory.torques[ends].tolist()  # type: ignore[no-any-return]
-    drive, torques = scene.drive or Drive(), list[float]()
+    if motion.torques is not None:
+        return motion.torques[np.searchsorted(motion.t[1:], times)].tolist()  # type: ignore[no-any-return]
+    drive, torques = motion.scene.drive or Drive(), list[float]()
     for last, time in pairwise(times):
         still = time <= last and torques
         torques.append(torques[-1] if still else sum(drive.torque_means(last, time - last)) / 2.0)

@@ -13,17 +13,15 @@ from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, Array, as_restored
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
-from jackbox_env.recording.record import Advance, Record, exact_advance, joined_records, stepping_advance
+from jackbox_env.recording.recorder import exact_advance, run_record, stepping_advance
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting
 from jackbox_env.tools import checks as check
-from jackbox_env.tools.command_line import bar
 
 EXACT = "exact"
 MOST_STEPS = 100_000_000
 _NO_STEP = 1e-6  # of dt: a shorter rest of the duration is rounding
-_CHUNK = 64  # steps between two searches for an event at first, then twice as many each time
 
 
 def simulate(
@@ -126,44 +124,5 @@ def recorded(
         simulator = make_simulator(scene, **setting._asdict())
         simulator.reset(state, time)
         advance = stepping_advance(simulator)
-    record, end = _run(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
+    record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
     return Motion(record, end=end)
-
-
-def restarted(record: Record, row: int, end: float, longer: bool) -> Motion:
-    """The motion from just after the impact of a row of a record to a time [s]; ``longer``: past the record's end."""
-    step = int(record.steps[row])
-    start, whole = float(record.times[step]), len(record.times) - 1 - step - (record.rest > 0.0)
-    steps = (math.ceil((end - start) / record.dt), 0.0) if longer else (whole, record.rest)
-    torques = None if record.torques is None else record.torques[step:]
-    if torques is not None and len(torques) < steps[0]:
-        lasts = start + len(torques) * record.dt - float(record.impacts["time"][row])
-        raise ValueError(f"duration must be at most {lasts:g} s, as long as the torques last, got a later end")
-    again, _ = _run(exact_advance(record.scene), record.states[step], start, record.dt, steps, torques)
-    if again.failure is not None:
-        raise again.failure
-    return Motion(again, begin=row - int(np.searchsorted(record.steps, step)), end=end)
-
-
-def _run(
-    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float], torques: Array | None,
-    event: Event | None = None, progress: bool = False,
-) -> tuple[Record, float]:  # fmt: skip
-    """Advance step by step until the end, an event or a failure; return the record and the time of the event [s]."""
-    whole, rest = steps
-    parts, done, end, size = list[Record](), 0, None, whole
-    if event is not None or progress:
-        size = _CHUNK
-    with bar(whole, progress) as moved:
-        while end is None and (done < whole or (rest > 0.0 and done == whole)):
-            length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
-            part = advance(state, time, length, count, None if torques is None else torques[done : done + count])
-            parts.append(part)
-            state, time, done, size = part.states[-1], float(part.times[-1]), done + count, 2 * size
-            moved(count)
-            if event is not None:
-                end = event(part)
-            if part.failure is not None:
-                break
-    record = joined_records(parts, dt, rest if done > whole else 0.0, torques)
-    return record, math.inf if end is None else end
