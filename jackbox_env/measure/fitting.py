@@ -108,13 +108,8 @@ def fit(
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
     total = sum(len(one.states) - 1 for one in several)
-    with tqdm(
-        total=total,
-        unit="step",
-        desc="cutting",
-        leave=False,
-        disable=None if check.flag("progress", progress) else True,
-    ) as bar:
+    disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
+    with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
         return _Search(list(several), parameters, known_noise(noise), bar).fit()
 
 

@@ -38,7 +38,7 @@ def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Col
 
 def frame(columns: Columns) -> Any:
     """A pandas.DataFrame of columns, without units."""
-    library: Any = _library("pandas", "to_frame", "pandas", "tables")
+    library: Any = _library("pandas", "to_frame", "pandas", "notebooks")
     return library.DataFrame({name: numbers for (name, _), numbers in columns.items()})
 
 

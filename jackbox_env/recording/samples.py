@@ -5,7 +5,7 @@ A stored state is the end of a control step, and impacts happen within steps. He
 and just after each impact, so the animated page draws impacts without a contact model.
 
 Exactness: rounding with ``contact="exact"``. With pymunk an impact is where the engine resolved it, at the end of a
-substep, with the foot inside the wall. A step in which a foot rests on a wall has no further samples.
+substep, with the foot inside the wall. A step in which a foot rests on a wall has samples at its impacts alone.
 """
 
 from __future__ import annotations
@@ -56,23 +56,32 @@ class _Step(NamedTuple):
 
     def flight(self, scene: Scene) -> Iterator[_Sample]:
         """Points of a step without impacts, its end included, with the work since its start."""
-        at_first, length = box_energy(scene, self.before), self.end - self.start
-        points = math.ceil(length / SPACING - 1e-6)
+        yield from self._between(scene, self.before, self.start, self.end, 0.0)
+        yield _Sample(self.end, self.after, box_energy(scene, self.after) - box_energy(scene, self.before))
+
+    def _between(self, scene: Scene, state: list[float], start: float, end: float, done: float) -> Iterator[_Sample]:
+        """Points of a flight from a state, without its ends; ``done`` is the work at its start."""
+        points = math.ceil((end - start) / SPACING - 1e-6)
         for number in range(1, points):
-            since = length * number / points
-            state = flown(scene, self.before, self.start, since, self.torque)
-            yield _Sample(self.start + since, state, box_energy(scene, state) - at_first)
-        yield _Sample(self.end, self.after, box_energy(scene, self.after) - at_first)
+            since = (end - start) * number / points
+            flying = flown(scene, state, start, since, self.torque)
+            yield _Sample(start + since, flying, done + box_energy(scene, flying) - box_energy(scene, state))
 
     def contact(self, scene: Scene) -> Iterator[_Sample]:
-        """The moments of a step with impacts, and its end, with the work since its start."""
+        """The moments of a step with impacts, points between them, and its end, with the work since its start."""
         replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
-        for moment in replay.moments:
-            if self._rests(scene, moment):
+        resting = any(self._rests(scene, moment) for moment in replay.moments)
+        start, state, done = self.start, self.before, 0.0
+        for moment in [*replay.moments, None]:
+            time = self.end if moment is None else min(moment.time, self.end)
+            if not resting:
+                yield from self._between(scene, state, start, time, done)
+            if moment is None or self._rests(scene, moment):
                 break
-            yield _Sample(min(moment.time, self.end), moment.before, moment.work)
+            yield _Sample(time, moment.before, moment.work)
             if moment.time < self.end:
-                yield _Sample(moment.time, moment.after, moment.work)
+                yield _Sample(time, moment.after, moment.work)
+            start, state, done = time, moment.after, moment.work
         yield _Sample(self.end, self.after, replay.work + self._missed_work(scene, replay.state))
 
     def _missed_work(self, scene: Scene, ended: list[float]) -> float:

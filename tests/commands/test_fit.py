@@ -200,7 +200,7 @@ def test_the_documented_commands_converge(
     low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.]+) to ([\d.]+)", out)[0])
     assert low < camera.TRUE["jack_mass"] < high < low + 0.05
     assert re.search(r"^cam\.csv: \d+ of \d+ frames are missing, and left open\.$", err, re.M)
-    assert "fitting" in err  # the bar
+    assert "fitting:" not in err  # no bar, as this is no terminal
     assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1
 
 
