@@ -161,10 +161,9 @@ class Motion:
         """
         self._record.refuse_no_states()
         count = len(self.impacts)
-        if not (isinstance(k, int | np.integer) and not isinstance(k, bool) and -count <= k < count):
-            raise (ValueError if isinstance(k, int) else TypeError)(
-                f"k must be the number of one of {count} impacts, got {check.shown(k)}"
-            )
+        if not count:
+            raise ValueError(f"k must be the number of an impact, and this motion has none, got {check.shown(k)}")
+        k = check.whole("k", k, at_least=-count, at_most=count - 1)
         row, end = int(self._rows[k]), None
         if duration is not None:
             end = float(self.impacts["time"][k]) + check.real("duration", duration, above=0.0)

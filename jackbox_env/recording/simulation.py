@@ -67,7 +67,7 @@ def simulate(
     """
     setting, scene = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)], Scene.of(scene)
     dt = check.real("dt", dt, above=0.0)
-    duration = check.real("duration", duration, above=0.0, at_most=MOST_STEPS * dt)
+    duration = check.real("duration", duration, above=0.0)
     event = event_of(until)
     if event is not None and setting.contact != EXACT:
         raise ValueError(f"until needs fidelity='exact', got {check.shown(until)} with fidelity={fidelity!r}")
@@ -90,18 +90,26 @@ def _turned_by(torque: Callable[[float], float], drive: Chirp | Drive | None) ->
 
 def _torques(torque: Any, steps: tuple[int, float]) -> Array:
     """The torque of each step [N m]; a number is that of any number of steps."""
-    if np.ndim(torque) == 0:
-        return np.broadcast_to(check.real("torque", torque), MOST_STEPS + 1)
     count = steps[0] + (steps[1] > 0.0)
     requirement = f"be a number, a function of time or one number for each of {count} steps"
     torques = check.array("torque", torque, requirement).astype(np.float64)
-    if torques.shape != (count,) or not np.isfinite(torques).all():
-        raise ValueError(f"torque must {requirement}, got {check.shown(torque)}")
+    if torques.ndim == 0:
+        return np.broadcast_to(check.real("torque", torque), MOST_STEPS + 1)
+    if torques.shape != (count,):
+        raise ValueError(f"torque must {requirement}, got shape {torques.shape}")
+    if not np.isfinite(torques).all():
+        raise ValueError(f"torque must {requirement}, finite ones, got {torques[~np.isfinite(torques)][0]}")
     return torques
 
 
 def steps_of(duration: float, dt: float) -> tuple[int, float]:
-    """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0."""
+    """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0.
+
+    Raises:
+        ValueError: there are too many steps.
+    """
+    if duration / dt > MOST_STEPS:
+        raise ValueError(f"duration / dt must be at most {MOST_STEPS:,} steps, got {duration:g} / {dt:g}")
     whole = math.floor(duration / dt * (1.0 + 1e-12) + _NO_STEP)
     rest = duration - whole * dt
     return whole, rest if rest > _NO_STEP * dt else 0.0
