@@ -50,6 +50,15 @@ def test_points_in_flight_are_where_the_exact_model_goes() -> None:
     assert now == pytest.approx(3.0)
 
 
+def test_a_long_step_with_impacts_has_points_between_them_where_the_motion_is() -> None:
+    motion = run(Scene(restitution=0.9), 10.0, 5.0, contact="exact")
+    samples = samples_of(motion)
+    assert len(motion.impacts) > 10
+    assert np.diff(samples.times).max() < SPACING + 1e-12
+    ordinary = ~np.isin(samples.times, motion.impacts["time"])
+    np.testing.assert_allclose(samples.states[ordinary], motion(samples.times[ordinary]), rtol=0.0, atol=1e-5)
+
+
 def test_an_impact_has_the_states_before_and_after_it() -> None:
     motion = run(Scene(), contact="exact")
     samples = samples_of(motion)

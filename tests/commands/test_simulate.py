@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
+import itertools
 import json
 import os
 import re
@@ -21,6 +23,7 @@ from jackbox_env.commands import simulate
 from jackbox_env.commands.fit import read_recording
 from jackbox_env.recording.simulation import recorded
 from jackbox_env.simulators.fidelity import resolve
+from jackbox_env.tools.command_line import bar
 
 
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
@@ -91,6 +94,34 @@ def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
     means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(25)]
     np.testing.assert_allclose(torques, means, rtol=1e-6)
     assert np.load(arrays)["impact_time"].shape == (0,)  # none in half a second
+
+
+@pytest.mark.parametrize("film", ["run.gif", "run.mp4"])
+def test_a_film_shows_the_motion_at_any_step(
+    film: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imageio = pytest.importorskip("imageio.v3")
+    run(monkeypatch, tmp_path, "--seconds", "1.4", "--dt", "0.7", "--film", film, "--folder", "out")
+    frames = imageio.imread(tmp_path / film)
+    assert len(frames) == 36  # at 0, 0.04, ... 1.4 s
+    assert all((one != other).any() for one, other in itertools.pairwise(frames))  # it never stands still
+    out, err = capsys.readouterr()
+    assert f"  {film}" in out.splitlines()
+    assert "frame" not in err  # no bar, as this is no terminal
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "--film", film)
+    assert "run" in capsys.readouterr().err
+
+
+def test_bars_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("tqdm")
+    for terminal, shown, expected in ((True, True, True), (False, True, False), (True, False, False)):
+        written = io.StringIO()
+        monkeypatch.setattr(written, "isatty", lambda terminal=terminal: terminal)
+        monkeypatch.setattr(sys, "stderr", written)
+        with bar(3, shown) as moved:
+            moved(2)
+        assert ("2/3" in written.getvalue() or "step" in written.getvalue()) == expected
 
 
 def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
@@ -197,6 +228,8 @@ def test_a_file_has_the_same_torques_for_simulate_and_fit(
         ("--torque text.npz", "text.npz: must be an npz file of jackbox simulate, got "),
         ("--torque empty.npz", "empty.npz: must be an npz file of jackbox simulate, got No data left in file"),
         ("--torque empty.csv", r"empty.csv, row 1: there must be a column torque \[N m\], got none"),
+        ("--film run.avi", "a film must be a .gif or .mp4 file, got 'run.avi'"),
+        ("--film run.gif --seconds 61", "seconds of a film must be a finite number at most 60, got 61"),
         ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
         ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),
     ],
