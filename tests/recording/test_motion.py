@@ -75,6 +75,9 @@ def test_flights_end_where_the_engine_arrives(keywords: dict[str, Any]) -> None:
     early = np.nextafter(times, -math.inf)
     np.testing.assert_allclose(motion(early), motion.impacts["before"], rtol=0.0, atol=1e-11)
     assert motion(times.reshape(1, -1)).shape == (1, len(times), 12)
+    fine = simulate(**{**keywords, "dt": keywords.get("dt", 0.02) / 8.0})
+    between = np.random.default_rng(0).uniform(motion.t[0], times[3], 50)
+    np.testing.assert_allclose(motion(between), fine(between), rtol=0.0, atol=1e-9)
 
 
 def test_a_motion_is_the_simulators_bit_for_bit() -> None:
