@@ -102,7 +102,8 @@ def test_a_film_shows_the_motion_at_any_step(
     film: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     imageio = pytest.importorskip("imageio.v3")
-    run(monkeypatch, tmp_path, *"--seconds 0.6 --dt 0.3 --state y_jack=-4.5 --folder out --film".split(), film)
+    options = ["--seconds", "0.6", "--dt", "0.3", "--state", "y_jack=-4.5", "--folder", "out"]
+    run(monkeypatch, tmp_path, *options, "--film", film)
     frames = imageio.imread(tmp_path / film)
     assert len(frames) == 16  # at 0, 0.04, ... 0.6 s; an impact is at 0.32 s
     assert all((one != other).any() for one, other in itertools.pairwise(frames))  # it never stands still
