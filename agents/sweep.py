@@ -245,7 +245,8 @@ def carry_out(
         remove_partials(folder)
         logged, keys = _read_log(folder / LOG), [key_of(settings) for settings in trials]
         to_run = [trial for trial, key in zip(trials, keys, strict=True) if key not in logged or logged[key]["error"]]
-        bar = tqdm(total=len(trials), initial=len(trials) - len(to_run), unit="trial", disable=not progress)
+        disable = None if progress else True  # None: unless on a terminal
+        bar = tqdm(total=len(trials), initial=len(trials) - len(to_run), unit="trial", disable=disable)
         try:
             with (folder / LOG).open("ab") as log, bar, contextlib.closing(runner(to_run, work)) as results:
                 for done in results:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.rollouts import Rollout, rollout
+    from jackbox_env.recording.motion import Motion
+    from jackbox_env.recording.simulation import simulate
     from jackbox_env.simulators import Impact, JackLostError, Simulator, StepResult, make_simulator
     from jackbox_env.simulators.fidelity import Setting
 
@@ -40,6 +42,7 @@ _LAZY = {
     "Impact": "simulators",
     "JackLostError": "simulators",
     "Linearization": "planning.linearization",
+    "Motion": "recording.motion",
     "Observation": "model.observation",
     "Simulator": "simulators",
     "StepResult": "simulators",
@@ -53,6 +56,7 @@ _LAZY = {
     "ilqr": "planning.ilqr",
     "linearize": "planning.linearization",
     "rollout": "planning.rollouts",
+    "simulate": "recording.simulation",
 }
 _FACES = ("action", "mechanics", "observation", "sb3", "scene", "states", "tasks", "torch")  # modules of public names
 __all__ = [
@@ -66,6 +70,7 @@ __all__ = [
     "JackInBoxVectorEnv",
     "JackLostError",
     "Linearization",
+    "Motion",
     "Observation",
     "Recording",
     "Rollout",
@@ -81,6 +86,7 @@ __all__ = [
     "linearize",
     "make_simulator",
     "rollout",
+    "simulate",
 ]
 
 register(

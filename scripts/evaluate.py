@@ -76,7 +76,7 @@ def _check(arguments: Arguments) -> None:
             raise ValueError("folder goes with --html, whose pages are written into it")
         check_new(arguments.folder)
     if arguments.film is not None:
-        from agents.evaluation.film import check_film
+        from jackbox_env.recording.film import check_film
 
         check_film(arguments.film)
 

@@ -59,6 +59,7 @@ def pytest_xdist_setupnodes() -> None:
     env.reset(seed=0)
     env.close()
     jackbox_env.rollout(None, np.zeros(12), np.zeros((2, 3)), 0.02)
+    jackbox_env.simulate(duration=0.1)(0.05)
     with contextlib.suppress(ImportError):  # of the agents' libraries
         from scripts.site.build import ensure_page
 

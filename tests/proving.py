@@ -95,9 +95,9 @@ def trained(rng: np.random.Generator) -> Iterator[Case]:
         for task in TRAINED:
             settings = EnvSettings(task=task)
             seed = int(rng.integers(2**31))
-            path, scene, _ = record_episode(find_policy("ppo", settings), settings.env_settings, seed)
-            for state, time, torque in zip(path.states[:-1], path.times[:-1], path.torques, strict=True):
-                yield Case(scene, state, float(time), DT, [float(torque)])
+            motion, _ = record_episode(find_policy("ppo", settings), settings.env_settings, seed)
+            for state, time, torque in zip(motion.states[:-1], motion.t[:-1], motion.mean_torques, strict=True):
+                yield Case(motion.scene, state, float(time), DT, [float(torque)])
 
 
 def hostile(rng: np.random.Generator) -> Iterator[Case]:

@@ -1,4 +1,4 @@
-"""Record one episode of a policy, as a trajectory or as an animated page; ``scripts/evaluate.py --html`` uses it."""
+"""Record one episode of a policy, as a motion or as an animated page; ``scripts/evaluate.py --html`` uses it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ import numpy as np
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, setting_of
 from agents.training.models import derived_seed
-from jackbox_env import JackInBoxEnv, Scene
+from jackbox_env import JackInBoxEnv
 from jackbox_env.envs.decisions import ControlStep
+from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import model_facts, write_page
-from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder
+from jackbox_env.recording.recorder import Recorder
 
 _LONGEST_NAME = 80  # letters of a file's name
 
 
 class Episode(NamedTuple):
-    """An episode's trajectory, its scene and its return."""
+    """An episode's motion and its return."""
 
-    trajectory: Trajectory
-    scene: Scene
+    motion: Motion
     earned: float
 
 
@@ -53,22 +53,23 @@ def record_episode(acting: PolicyWithEnv, env_settings: dict[str, Any], seed: in
     """
     env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
     observation, info = env.reset(seed=seed)
-    recorder = TrajectoryRecorder(info["state"], info["time"], driven=acting.keywords.get("torque") == "chirp")
+    driven, dt = acting.keywords.get("torque") == "chirp", float(env_settings.get("control_dt", 0.02))
+    recorder = Recorder(cast(JackInBoxEnv, env.unwrapped).scene, dt, info["state"], info["time"], driven)
     earned = 0.0
     for step in control_steps(env, acting, observation):
         recorder.add(step.state, step.time, step.torque, step.impacts)
         earned += step.reward
     env.close()
-    return Episode(recorder.trajectory(), cast(JackInBoxEnv, env.unwrapped).scene, earned)
+    return Episode(Motion(recorder.record()), earned)
 
 
 def page_of_episode(path: Path, name: str, acting: PolicyWithEnv, settings: EnvSettings, seed: int) -> float:
     """Write an episode of the policy of this name as a page to a new file; return the sum of its rewards."""
-    trajectory, scene, earned = record_episode(acting, settings.env_settings, seed)
+    motion, earned = record_episode(acting, settings.env_settings, seed)
     keywords = {**settings.env_settings, **acting.keywords}
     task = keywords["task"] if isinstance(keywords["task"], str) else " + ".join(keywords["task"].terms)
     facts = [*model_facts(setting_of(keywords)), ("policy", name), ("task", task), ("return", f"{earned:.1f}")]
-    write_page(path, scene, trajectory, f"{name} on {task}, return {earned:.1f}", facts)
+    write_page(path, motion, f"{name} on {task}, return {earned:.1f}", facts)
     return earned
 
 

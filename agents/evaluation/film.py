@@ -6,40 +6,19 @@ from pathlib import Path
 from typing import Any, cast
 
 import gymnasium as gym
-import imageio.v3 as imageio
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from tqdm import tqdm
 
 from agents.evaluation.episodes import control_steps
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EPISODE_STEPS
 from jackbox_env import JackInBoxEnv
-from jackbox_env.render.canvas import import_pygame
+from jackbox_env.recording.film import Frame, check_film, write_film
 from jackbox_env.render.renderer import Renderer
-from jackbox_env.tools.files import check_new, check_writable, new_file
+from jackbox_env.tools.command_line import bar
 
-Frame = NDArray[np.uint8]
-SUFFIXES = (".gif", ".mp4")
 WIDTH = 512  # of each picture [pixels]
 _CAPTION_HEIGHT = 36  # [pixels] whatever the width: a page shows a wide film smaller
-
-
-def check_film(path: Path) -> None:
-    """Check, before anything is computed, that a film can be written to a file.
-
-    Raises:
-        ValueError: another suffix than .gif and .mp4.
-        FileExistsError: there is something at ``path``.
-        OSError: there is no such folder, or nothing can be written to it.
-        gymnasium.error.DependencyNotInstalled: pygame is missing.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
-    check_writable(path.parent)
-    check_new(path)
-    import_pygame()
 
 
 def film_episode(acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], path: Path, seed: int) -> None:
@@ -87,13 +66,14 @@ def film(
     shown = [_Shown(caption, acting, env_settings, seed, width) for caption, acting in acts.items()]
     frames, first = [], round(begin / control_dt)
     steps = range(first + max(1, round(seconds / control_dt)))
-    with tqdm(steps, desc="film", disable=not progress, unit="step", leave=False) as bar:
-        for step in bar:
+    with bar(len(steps), progress) as moved:
+        for step in steps:
             if step >= first and (step - first) % every == 0:
                 frames.append(np.concatenate([one.picture() for one in shown], axis=1))
             for one in shown:
                 one.advance((step + 1) * control_dt)
-    _write(frames, path, 1.0 / (every * control_dt), progress)
+            moved(1)
+    write_film(frames, path, 1.0 / (every * control_dt), progress)
     return {one.caption: one.earned for one in shown}
 
 
@@ -132,29 +112,3 @@ def _captioned(picture: Any, caption: str, width: int) -> Frame:
     centre = width / 2, _CAPTION_HEIGHT / 2
     ImageDraw.Draw(page).text(centre, caption, fill="#222222", font=font, anchor="mm")
     return np.asarray(page)
-
-
-def _write(frames: list[Frame], path: Path, fps: float, progress: bool) -> None:
-    if path.suffix.lower() == ".gif":
-        # One palette for all frames keeps the background still and the file small.
-        palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
-        bar = tqdm(frames, desc=f"writing {path}", disable=not progress, unit="frame", leave=False)
-        pages = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in bar)
-        with new_file(path) as partial:
-            next(pages).save(partial, save_all=True, append_images=pages, duration=round(1000.0 / fps), loop=0)
-    else:
-        with new_file(path) as partial:
-            imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
-
-
-def _palette(pixels: Frame) -> Image.Image:
-    """A palette of 256 colours: the widest areas' own, and others so that small things (flash, gauge) keep theirs."""
-    packed = pixels @ np.array([1 << 16, 1 << 8, 1], np.uint32)  # colours as whole numbers
-    areas = np.bincount(packed, minlength=1 << 24)
-    numbers = np.flatnonzero(areas)
-    colours = np.stack([numbers >> 16, numbers >> 8 & 255, numbers & 255], axis=1).astype(np.uint8)
-    widest = colours[np.argsort(areas[numbers], kind="stable")[-32:]]
-    spread = Image.fromarray(colours[None]).quantize(256 - len(widest), method=Image.Quantize.MEDIANCUT)
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(widest.ravel().tolist() + (spread.getpalette() or []))
-    return palette

@@ -77,7 +77,7 @@ def evaluate(
     environments = make_vec_env({**env_settings, **acting.keywords}, count, starts)
     environments.reset()  # compiles, before the bar
     environments.seed(starts)
-    with tqdm(total=episodes, desc=name, unit="episode", disable=not progress, leave=False) as bar:
+    with tqdm(total=episodes, desc=name, unit="episode", disable=None if progress else True, leave=False) as bar:
         rewards, _ = evaluate_policy(
             acting.policy,
             environments,

@@ -127,7 +127,7 @@ def main() -> None:
     net, pool = network(value.layers), starts(JACKS, rng)
     recent: deque[tuple[Array, Array]] = deque(maxlen=ROUNDS_FITTED)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    with trange(arguments.rounds, desc="distil") as bar:
+    with trange(arguments.rounds, desc="distil", disable=None) as bar:
         for number in bar:
             policy = LandingPolicy(COARSE, layers_of(net))
             first = pool[rng.integers(0, len(pool), JACKS)]

@@ -64,7 +64,7 @@ def visited(search: RecordingSearch, rng: np.random.Generator) -> tuple[Array, A
     """Ends of candidates, two for each decision, and visited states; shapes (n, 12)."""
     states, rows = starts(EPISODES, rng), np.arange(EPISODES)
     plans, ends, visits = search.begin(EPISODES), [], []
-    for _ in trange(DECISIONS, desc="play", leave=False):
+    for _ in trange(DECISIONS, desc="play", leave=False, disable=None):
         best, plans = search.decide(SCENE, states, plans)
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
@@ -83,7 +83,7 @@ def chosen(search: RecordingSearch, count: int, rng: np.random.Generator) -> Arr
 def evaluated(task: str, states: Array, rng: np.random.Generator) -> Array:
     """Return of the best plan of a new search from each state, shape (n,)."""
     returns = []
-    for first in trange(0, len(states), CHUNK, desc="evaluate", leave=False):
+    for first in trange(0, len(states), CHUNK, desc="evaluate", leave=False, disable=None):
         search = Search(task, CONTROL_DT, seed=int(rng.integers(2**31)), **EVALUATING)
         some = states[first : first + CHUNK]
         returns.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
@@ -101,7 +101,7 @@ def fitted(settings: EnvSettings, states: Array, worth: Array) -> list[Layer]:
     net[4].bias.data.fill_(float(goals.mean()))
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
     rates = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=EPOCHS * (len(inputs) // BATCH))
-    for _ in trange(EPOCHS, desc="fit", leave=False):
+    for _ in trange(EPOCHS, desc="fit", leave=False, disable=None):
         epoch(net, optimiser, inputs, goals, rates.step)
     layers = layers_of(net)
     unexplained = float(np.var(worth[others] - Value(settings, layers).of(states[others])) / np.var(worth[others]))

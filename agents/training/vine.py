@@ -187,7 +187,7 @@ def main() -> None:
     policy = copy.deepcopy(nets[0])
     optimisers = torch.optim.Adam(nets[0].parameters()), torch.optim.Adam(nets[1].parameters(), CRITIC_RATE)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    with trange(arguments.rounds, desc=task) as bar:
+    with trange(arguments.rounds, desc=task, disable=None) as bar:
         for number in bar:
             optimisers[0].param_groups[0]["lr"] = RATE * (1.0 - (1.0 - LAST_SHARE) * number / arguments.rounds)
             visited = played(nets[0], recipe.task, states, ages, rng)

@@ -80,7 +80,8 @@ def read_recording(
     heard = None
     if impacts is not None:
         table = read_table(impacts, "impact_time")
-        heard = filled(table, "time", in_si_units(table, _IMPACTS)[0]["time"])
+        heard_columns = [column for column in table.columns if not column[0].startswith(("before ", "after "))]
+        heard = filled(table, "time", in_si_units(table._replace(columns=heard_columns), _IMPACTS)[0]["time"])
     return Recording.from_table(read_table(path, "state"), scene, names, y_down, heard)
 
 

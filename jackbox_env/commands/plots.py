@@ -1,4 +1,4 @@
-"""Plots of a trajectory by matplotlib, which is optional; the style is that of all the project's plots."""
+"""Plots of a motion by matplotlib, which is optional; the style is that of all the project's plots."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jackbox_env.recording.trajectory import Trajectory
+from jackbox_env.recording.motion import Motion
 from jackbox_env.tools.colours import JACK as JACK_COLOUR
 from jackbox_env.tools.colours import WALL, hexed
 from jackbox_env.tools.files import new_file
@@ -42,24 +42,24 @@ def write_figure(figure: Figure, path: Path) -> Path:
     return path
 
 
-def trajectory_figures(trajectory: Trajectory, folder: Path) -> list[Path]:
+def motion_figures(motion: Motion, folder: Path) -> list[Path]:
     """Write the four plots: positions and velocities of the box and of the jack, impacts marked by thin lines."""
     paths = []
     for name, (color, title, columns) in _PLOTS.items():
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         rows = figure.subplots(len(columns), 1, sharex=True)
         for axes, (column, label) in zip(rows, columns, strict=True):
-            _draw_column(axes, trajectory, column, color)
+            _draw_column(axes, motion, column, color)
             axes.set_ylabel(label)
-        rows[0].set_title(f"{title}; thin lines: {len(trajectory.impacts)} impacts")
+        rows[0].set_title(f"{title}; thin lines: {len(motion.impacts)} impacts")
         rows[-1].set_xlabel("time [s]")
         figure.align_ylabels(rows)
         paths.append(write_figure(figure, folder / f"{name}.png"))
     return paths
 
 
-def _draw_column(axes: Axes, trajectory: Trajectory, column: int, color: str) -> None:
-    for impact in trajectory.impacts[:1000]:  # more would be one grey block
-        axes.axvline(impact.time, color=GREY, alpha=0.4, linewidth=0.6, zorder=0)
-    axes.plot(trajectory.times, trajectory.states[:, column], color=color, linewidth=1.2)
+def _draw_column(axes: Axes, motion: Motion, column: int, color: str) -> None:
+    for time in motion.impacts["time"][:1000]:  # more would be one grey block
+        axes.axvline(time, color=GREY, alpha=0.4, linewidth=0.6, zorder=0)
+    axes.plot(motion.t, motion.states[:, column], color=color, linewidth=1.2)
     axes.margins(x=0.0)

@@ -1,4 +1,4 @@
-"""Simulate the scene: the state after each step and the impacts, plots, and an animated page."""
+"""Simulate the scene: the state after each step and the impacts, plots, an animated page, and a film."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from jackbox_env.tools.command_line import command_line, progress
 from jackbox_env.tools.files import check_new, new_folder, stamped
 
 if TYPE_CHECKING:
-    from jackbox_env.model.scene import Scene
-    from jackbox_env.recording.trajectory import Trajectory
+    from jackbox_env.recording.motion import Motion
     from jackbox_env.simulators.fidelity import Setting
 
 _STEP_TOLERANCE = 1e-6  # relative, of steps of time
 _MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
+_LONGEST_FILM = 60.0  # [s]: 1.2 GB of frames
 
 
 def _arguments() -> argparse.Namespace:
@@ -49,6 +49,10 @@ def _arguments() -> argparse.Namespace:
     files.add_argument("--plots", action=argparse.BooleanOptionalAction, help=text)
     text = "also write trajectory.html: animation, impacts and plots in one page that any browser opens"
     files.add_argument("--html", action="store_true", help=text)
+    text = "also film it, in this new .mp4 or .gif file; needs the extra video"
+    files.add_argument("--film", type=Path, metavar="FILE", help=text)
+    text = "show a bar while it simulates and films; default: on a terminal"
+    parser.add_argument("--progress", action=argparse.BooleanOptionalAction, default=True, help=text)
     return parser.parse_args()
 
 
@@ -110,14 +114,16 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
     Raises:
         ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
     """
+    from jackbox_env.recording.simulation import steps_of
+
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):
         torques = _torques(Path(arguments.torque), dt)
     if arguments.seconds is None:
         arguments.seconds = 10.0 if torques is None else len(torques) * dt
     _refuse_impossible(arguments)
-    steps = max(1, round(arguments.seconds / dt))
-    if torques is not None and len(torques) < steps:
+    whole, rest = steps_of(arguments.seconds, dt)
+    if torques is not None and len(torques) < whole + (rest > 0.0):
         lasts = f"as long as {arguments.torque} lasts"
         raise ValueError(f"seconds must be at most {len(torques) * dt:g}, {lasts}, got {arguments.seconds:g}")
     return torques
@@ -126,67 +132,73 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
 def _refuse_impossible(arguments: argparse.Namespace) -> None:
     """Raise ValueError for a duration that cannot be simulated, and for files that cannot be written."""
     check.real("seconds", arguments.seconds, above=0.0, at_most=1e6)
-    if arguments.dt > arguments.seconds:
-        raise ValueError(f"dt must be at most seconds = {arguments.seconds:g}, got {arguments.dt:g}")
     steps = arguments.seconds / arguments.dt
-    if steps > 1e8:
-        raise ValueError(f"seconds / dt must be at most 1e8 steps, got {steps:g}")
     if arguments.html and steps > _MOST_ON_PAGE:
         raise ValueError(f"html takes at most {_MOST_ON_PAGE:,} steps, got seconds / dt = {steps:g}")
     if arguments.plots and importlib.util.find_spec("matplotlib") is None:
         raise ValueError("plots need matplotlib: pip install matplotlib, or leave --plots out")
+    if arguments.film is not None:
+        from jackbox_env.recording.film import check_film
+
+        check.real("seconds of a film", arguments.seconds, at_most=_LONGEST_FILM)
+        check_film(arguments.film)
     check_new(arguments.folder)
 
 
-def _write(folder: Path, arguments: argparse.Namespace, scene: Scene, setting: Setting, trajectory: Trajectory) -> None:
+def _write(folder: Path, arguments: argparse.Namespace, motion: Motion, setting: Setting) -> None:
     """Write the files that the options select."""
-    from jackbox_env.recording.trajectory import write_csv, write_npz
+    from jackbox_env.recording.files import write_csv, write_scene
 
-    (write_csv if arguments.format == "csv" else write_npz)(trajectory, scene, folder)
+    if arguments.format == "npz":
+        motion.save(folder / "trajectory.npz")
+    else:
+        write_csv(motion.tables(), folder / "states.csv", folder / "impacts.csv")
+        write_scene(motion.scene, folder / "scene.json")
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
         titles = {"chirp": "The scene's drive", "none": "No torque"}
         title = titles.get(arguments.torque, f"Torques of {arguments.torque}")
-        write_page(folder / "trajectory.html", scene, trajectory, title, model_facts(setting))
+        write_page(folder / "trajectory.html", motion, title, model_facts(setting))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
         progress("Drawing plots ...")
-        from jackbox_env.commands.plots import trajectory_figures
+        from jackbox_env.commands.plots import motion_figures
 
-        trajectory_figures(trajectory, folder)
+        motion_figures(motion, folder)
     elif arguments.plots is None:
         print("No plots: matplotlib is not installed (pip install matplotlib)", file=sys.stderr)
+    if arguments.film is not None:
+        from jackbox_env.recording.film import film_motion
+
+        film_motion(motion, arguments.film, arguments.progress)
 
 
 @command_line
 def main() -> None:
     """Parse, simulate, write."""
     arguments = _arguments()
-    from jackbox_env import Scene, make_simulator
-    from jackbox_env.recording.trajectory import simulate
+    from jackbox_env import Scene
+    from jackbox_env.recording.simulation import recorded
     from jackbox_env.simulators.fidelity import chosen, resolve, words
 
     arguments.folder = arguments.folder or stamped("simulate")
     torques = _completed(arguments)
-    setting = resolve(**chosen(arguments))
+    setting, dt = resolve(**chosen(arguments)), arguments.dt
     scene = Scene.of(chosen_scene(arguments.scene, arguments))
     if arguments.torque == "none":
         scene = scene.changed(drive=None)
-    simulator = make_simulator(scene, **setting._asdict())
-    simulator.reset(_state(arguments.state), arguments.time)
+    start, time, shown = _state(arguments.state), arguments.time, arguments.progress
     try:
-        trajectory = simulate(simulator, arguments.seconds, arguments.dt, torques=torques)
-        folder = new_folder(
-            arguments.folder, "simulate", lambda new: _write(new, arguments, scene, setting, trajectory)
-        )
+        motion = recorded(scene, setting, start, time, arguments.seconds, dt, torques, progress=shown)
+        folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion, setting))
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(trajectory.impacts)} impacts by t = {simulator.time:g} s, {words(setting)}; wrote")
-    for path in sorted(folder.iterdir()):
+    print(f"{len(motion.impacts)} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
+    for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")
-    if trajectory.failure:
-        raise RuntimeError(trajectory.failure)
+    if motion.failure:
+        raise motion.failure
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
-from jackbox_env.exact.workspace import Workspace
+from jackbox_env.exact.workspace import AFTER, BEFORE, HELD_SO_FAR, JUMPS, Workspace
 from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
@@ -52,6 +52,9 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
     """
     contacts = memory.contacts
     state = memory.state
+    first = memory.hits
+    if log.shape[1] == JUMPS:
+        copy_state(state, memory.before)
     count = list_touching(scene, memory, resolution, wall, foot)
     slow = rate_of(state, contacts.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or contacts.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
@@ -63,6 +66,17 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
     for number in range(count):
         if contacts.impulses[number] > 0.0:
             record_impact(memory, log, memory.elapsed, contacts.pairs[number], contacts.impulses[number])
+    if log.shape[1] == JUMPS:
+        for row in range(first, min(memory.hits, log.shape[0])):
+            copy_state(memory.before, log[row, BEFORE:])
+            copy_state(state, log[row, AFTER:])
+            log[row, HELD_SO_FAR] = memory.held.holding
+
+
+def copy_state(state: Array, into: Array) -> None:
+    """Copy the 12 numbers of a state."""
+    for index in range(12):
+        into[index] = state[index]
 
 
 def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
@@ -78,6 +92,8 @@ def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse
     if memory.hits < log.shape[0]:
         log[memory.hits, 0], log[memory.hits, 1], log[memory.hits, 2] = time, pair // 4, pair % 4
         log[memory.hits, 3] = impulse
+        if log.shape[1] == JUMPS:
+            log[memory.hits, HELD_SO_FAR] = -1.0
     memory.hits += 1
     memory.impulse += impulse
 

@@ -133,6 +133,9 @@ def new_workspaces() -> Workspaces:
 # Columns of a log: time since the step's start [s], wall, foot, impulse [N s]. A wide log, for derivatives, adds the
 # state just before the impact, and the accelerations of the box by the drive there: angular, along x and along y.
 AT_IMPACT, DRIVEN_THERE, WIDE = 4, 16, 19
+# A log of jumps adds the states before and after instead, in the step's frame, and the number of feet held in the step
+# so far; -1 if the row is the impulse of a foot at rest, which has no jump.
+BEFORE, AFTER, HELD_SO_FAR, JUMPS = 4, 16, 28, 29
 
 
 def new_log(impacts: int = 0, wide: bool = False) -> Array:

@@ -92,7 +92,7 @@ def fit(
         noise: standard deviations of what was observed: one number, 12 in the order of a state, or by name ("x_jack",
             "impacts" [s]). None, and names left out: estimated from the residuals. An estimate needs some dozens of
             observations of a kind, so give the noise of a handful of impacts' times.
-        progress: whether to show a bar, which tqdm draws.
+        progress: whether to show a bar, which tqdm draws on a terminal.
 
     Raises:
         TypeError, ValueError: unusable values; recordings that no motion of the scene at the start can follow.
@@ -108,9 +108,8 @@ def fit(
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
     total = sum(len(one.states) - 1 for one in several)
-    with tqdm(
-        total=total, unit="step", desc="cutting", leave=False, disable=not check.flag("progress", progress)
-    ) as bar:
+    disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
+    with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
         return _Search(list(several), parameters, known_noise(noise), bar).fit()
 
 

@@ -1,4 +1,4 @@
-"""A trajectory as one page of HTML: an animation, its impacts, and plots that follow its time.
+"""A motion as one page of HTML: an animation, its impacts, and plots that follow its time.
 
 The page is one file that any browser opens, without a network. Its parts are in the folder ``web``: ``page.html``
 names the others, which are inserted there. The page interpolates between samples
@@ -19,8 +19,8 @@ import numpy as np
 
 from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.model.states import STATE_NAMES
+from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.samples import Samples, samples_of
-from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.simulators.fidelity import Setting, explicit
 from jackbox_env.tools import colours
 from jackbox_env.tools.files import new_file
@@ -36,45 +36,44 @@ def model_facts(setting: Setting) -> Facts:
     return [("contact model", contact[1]), *((name, str(value)) for name, value in settings if value is not None)]
 
 
-def write_page(path: Path, scene: Scene, trajectory: Trajectory, title: str, facts: Iterable[tuple[str, str]]) -> Path:
-    """Write a trajectory as a page.
+def write_page(path: Path, motion: Motion, title: str, facts: Iterable[tuple[str, str]]) -> Path:
+    """Write a motion as a page.
 
     Args:
         path: of the new file.
-        scene: of the trajectory.
-        trajectory: to show.
+        motion: to show.
         title: the cause of the box's motion, in a few words.
         facts: rows above the scene's numbers.
 
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    shown = samples_of(scene, trajectory)
-    data = _described(scene, trajectory, shown, title, [*facts, *_timing(trajectory), *_scene_facts(scene)])
+    data = _described(motion, samples_of(motion), title, [*facts, *_timing(motion), *_scene_facts(motion.scene)])
     with new_file(path) as partial:
         template = (files("jackbox_env.recording") / "web" / "page.html").read_text(encoding="utf-8")
         partial.write_text(assembled(template, data), encoding="utf-8")
     return path
 
 
-def _described(scene: Scene, trajectory: Trajectory, shown: Samples, title: str, facts: Facts) -> dict[str, Any]:
+def _described(motion: Motion, shown: Samples, title: str, facts: Facts) -> dict[str, Any]:
     """The page's data, for JSON."""
+    scene, impacts = motion.scene, motion.impacts
     columns = np.column_stack([shown.times, shown.states, shown.torques, shown.energies, shown.work])
     return {
         "title": title,
         "facts": facts,
-        "notes": _notes(scene, trajectory),
+        "notes": _notes(motion),
         "halfWidth": scene.box_half_width,
         "arm": scene.jack_arm,
         "knock": 2.0 * scene.jack_mass * scene.speed_scale,  # the impulse of a hard impact [N s]
         "timeScale": scene.box_half_width / scene.speed_scale,  # of a fall across the box [s]
-        "held": not trajectory.driven,
+        "held": motion.torques is not None,
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
         "samples": packed(columns, "<f8"),
         "listed": _MOST_LISTED,
-        "impacts": packed([hit.time for hit in trajectory.impacts], "<f8"),
-        "impulses": packed([hit.impulse for hit in trajectory.impacts], "<f8"),
-        "meetings": packed([4 * hit.wall + hit.foot for hit in trajectory.impacts], "u1"),  # of a wall and a foot
+        "impacts": packed(impacts["time"], "<f8"),
+        "impulses": packed(impacts["impulse"], "<f8"),
+        "meetings": packed(4 * impacts["wall"] + impacts["foot"], "u1"),  # of a wall and a foot
     }
 
 
@@ -83,28 +82,29 @@ def packed(numbers: Any, kind: str) -> str:
     return base64.b64encode(np.asarray(numbers).astype(kind).tobytes()).decode()
 
 
-def _notes(scene: Scene, trajectory: Trajectory) -> list[str]:
-    """Notes on this trajectory for the page's reader."""
+def _notes(motion: Motion) -> list[str]:
+    """Notes on this motion for the page's reader."""
+    count = len(motion.impacts)
     notes = [
         "Wall 0 is on the right of a level box, 1 above, 2 on the left, 3 below. They keep their numbers as it turns."
     ]
-    if len(trajectory.impacts) > _MOST_LISTED:
-        listed = f"{_MOST_LISTED:,} of {len(trajectory.impacts):,} impacts"
+    if count > _MOST_LISTED:
+        listed = f"{_MOST_LISTED:,} of {count:,} impacts"
         notes.append(f"The table lists the first {listed}; the animation and the plots show all.")
-    if not scene.elastic and trajectory.impacts:
+    if not motion.scene.elastic and count:
         notes.append("A foot that rests on a wall is recorded as an impact in each step, by pymunk in each substep.")
-    if trajectory.failure:
-        notes.append(f"It ended early: {trajectory.failure}.")
+    if motion.failure:
+        notes.append(f"It ended early: {motion.failure}.")
     return notes
 
 
-def _timing(trajectory: Trajectory) -> Facts:
-    times = trajectory.times
+def _timing(motion: Motion) -> Facts:
+    times = motion.t
     steps = max(1, len(times) - 1)
     return [
         ("time", f"{times[0]:g} s to {times[-1]:g} s"),
         ("time step", f"{(times[-1] - times[0]) / steps:.4g} s"),
-        ("impacts", f"{len(trajectory.impacts):,}"),
+        ("impacts", f"{len(motion.impacts):,}"),
     ]
 
 

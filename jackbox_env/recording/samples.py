@@ -1,11 +1,11 @@
-"""Samples of a trajectory between its stored states: the moments of its impacts, and points in flight.
+"""Samples of a motion between its stored states: the moments of its impacts, and points in flight.
 
 A stored state is the end of a control step, and impacts happen within steps. Here each step is replayed
 (:mod:`jackbox_env.simulators.replay`) by flight in closed form and the recorded impulses. There is a sample just before
 and just after each impact, so the animated page draws impacts without a contact model.
 
 Exactness: rounding with ``contact="exact"``. With pymunk an impact is where the engine resolved it, at the end of a
-substep, with the foot inside the wall. A step in which a foot rests on a wall has no further samples.
+substep, with the foot inside the wall. A step in which a foot rests on a wall has samples at its impacts alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import THETA_BOX, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
-from jackbox_env.recording.trajectory import Trajectory
+from jackbox_env.recording.motion import Motion
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.replay import Moment, box_energy, flown, replayed
 
@@ -29,7 +29,7 @@ _REPLAY_TOLERANCE = 1e-6  # over L; a replay that ends further off had a foot at
 
 
 class Samples(NamedTuple):
-    """A trajectory between its stored states, in time order; two samples have one time where there is an impact."""
+    """A motion between its stored states, in time order; two samples have one time where there is an impact."""
 
     times: Array  # [s], (n,)
     states: Array  # SI units, (n, 12)
@@ -45,7 +45,7 @@ class _Sample(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """One step of a trajectory."""
+    """One step of a motion."""
 
     start: float  # [s]
     end: float  # [s]
@@ -56,23 +56,32 @@ class _Step(NamedTuple):
 
     def flight(self, scene: Scene) -> Iterator[_Sample]:
         """Points of a step without impacts, its end included, with the work since its start."""
-        at_first, length = box_energy(scene, self.before), self.end - self.start
-        points = math.ceil(length / SPACING - 1e-6)
+        yield from self._between(scene, self.before, self.start, self.end, 0.0)
+        yield _Sample(self.end, self.after, box_energy(scene, self.after) - box_energy(scene, self.before))
+
+    def _between(self, scene: Scene, state: list[float], start: float, end: float, done: float) -> Iterator[_Sample]:
+        """Points of a flight from a state, without its ends; ``done`` is the work at its start."""
+        points = math.ceil((end - start) / SPACING - 1e-6)
         for number in range(1, points):
-            since = length * number / points
-            state = flown(scene, self.before, self.start, since, self.torque)
-            yield _Sample(self.start + since, state, box_energy(scene, state) - at_first)
-        yield _Sample(self.end, self.after, box_energy(scene, self.after) - at_first)
+            since = (end - start) * number / points
+            flying = flown(scene, state, start, since, self.torque)
+            yield _Sample(start + since, flying, done + box_energy(scene, flying) - box_energy(scene, state))
 
     def contact(self, scene: Scene) -> Iterator[_Sample]:
-        """The moments of a step with impacts, and its end, with the work since its start."""
+        """The moments of a step with impacts, points between them, and its end, with the work since its start."""
         replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
-        for moment in replay.moments:
-            if self._rests(scene, moment):
+        resting = any(self._rests(scene, moment) for moment in replay.moments)
+        start, state, done = self.start, self.before, 0.0
+        for moment in [*replay.moments, None]:
+            time = self.end if moment is None else min(moment.time, self.end)
+            if not resting:
+                yield from self._between(scene, state, start, time, done)
+            if moment is None or self._rests(scene, moment):
                 break
-            yield _Sample(min(moment.time, self.end), moment.before, moment.work)
+            yield _Sample(time, moment.before, moment.work)
             if moment.time < self.end:
-                yield _Sample(moment.time, moment.after, moment.work)
+                yield _Sample(time, moment.after, moment.work)
+            start, state, done = time, moment.after, moment.work
         yield _Sample(self.end, self.after, replay.work + self._missed_work(scene, replay.state))
 
     def _missed_work(self, scene: Scene, ended: list[float]) -> float:
@@ -92,30 +101,28 @@ class _Step(NamedTuple):
         return moment.time >= self.end and off > _REPLAY_TOLERANCE * scene.box_half_width
 
 
-def samples_of(scene: Scene, trajectory: Trajectory) -> Samples:
-    """The samples of a trajectory in a scene: all stored states, impacts, and flight at most 0.005 s apart."""
-    ends, states = trajectory.times.tolist(), trajectory.states.tolist()
-    constant_torques = [None] * len(ends) if trajectory.driven else trajectory.torques.tolist()
-    samples, impacts = [_Sample(ends[0], states[0], 0.0)], iter(trajectory.impacts)
-    for number, count in enumerate(trajectory.counts.tolist()):
+def samples_of(motion: Motion) -> Samples:
+    """The samples of a motion: all stored states, impacts, and flight at most 0.005 s apart."""
+    scene, ends, states = motion.scene, motion.t.tolist(), motion.states.tolist()
+    constant_torques = [None] * len(ends) if motion.torques is None else motion.torques.tolist()
+    samples, impacts = [_Sample(ends[0], states[0], 0.0)], iter(motion.hits)
+    for number, count in enumerate(motion.counts.tolist()):
         hits, done = list(islice(impacts, count)), samples[-1].work
         step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, constant_torques[number])
         new = step.contact(scene) if step.impacts else step.flight(scene)
         samples += [one._replace(work=done + one.work) for one in new]
     times, states, work = zip(*samples, strict=True)
     energies = [energy_of(scene, state) for state in states]
-    torques = _torques(scene, trajectory, times)
-    return Samples(*map(np.array, (times, states, torques, energies, work)))
+    return Samples(*map(np.array, (times, states, _torques(motion, times), energies, work)))
 
 
-def _torques(scene: Scene, trajectory: Trajectory, times: Sequence[float]) -> list[float]:
+def _torques(motion: Motion, times: Sequence[float]) -> list[float]:
     """Mean torque since the sample before, for each sample [N m]; the first has that of the second."""
-    if not len(trajectory.torques):
+    if len(motion.t) == 1:
         return [0.0]
-    if not trajectory.driven:
-        ends = np.searchsorted(trajectory.times[1:], times)
-        return trajectory.torques[ends].tolist()  # type: ignore[no-any-return]
-    drive, torques = scene.drive or Drive(), list[float]()
+    if motion.torques is not None:
+        return motion.torques[np.searchsorted(motion.t[1:], times)].tolist()  # type: ignore[no-any-return]
+    drive, torques = motion.scene.drive or Drive(), list[float]()
     for last, time in pairwise(times):
         still = time <= last and torques
         torques.append(torques[-1] if still else sum(drive.torque_means(last, time - last)) / 2.0)

@@ -194,8 +194,9 @@ class PymunkSimulator(Simulator):
         self._build()  # it may have overflowed
         if unresolved:
             raise JackLostError(
-                f"the jack is wedged between walls after t = {self.time:g} s and moves too fast to be followed in "
-                f"substeps of h = {h:.3g} s; use more of them, a smaller time step or contact='exact'"
+                f"in the step of dt = {dt:g} s after t = {self.time:g} s the contacts gain or lose energy: substeps of "
+                f"h = {h:.3g} s are too long, or the jack is wedged between walls; use more of them, a smaller time "
+                "step or contact='exact'"
             )
         raise JackLostError(
             f"the jack would leave the box: after t = {self.time:g} s a foot moves {moves:.3g} m in h = {h:.3g} s, or "

@@ -14,7 +14,7 @@ import numpy as np
 
 from jackbox_env.model.mechanics import gap_jacobian
 from jackbox_env.model.scene import Drive, Scene
-from jackbox_env.model.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, clearance
+from jackbox_env.model.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, Numbers, clearance
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
 
@@ -66,7 +66,7 @@ def replayed(
     return Replay(after, depth, work + box_energy(scene, after) - box_energy(scene, now), moments)
 
 
-def box_energy(scene: Scene, state: Sequence[float]) -> float:
+def box_energy(scene: Scene, state: Numbers) -> float:
     """Kinetic energy of the box [J]."""
     vx, vy, omega = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
     return 0.5 * (scene.box_mass * (vx * vx + vy * vy) + scene.box_inertia * omega * omega)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import functools
+import importlib
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gymnasium.error import DependencyNotInstalled
@@ -79,6 +81,23 @@ def progress(text: str) -> None:
     """Print on a terminal what begins now and lasts some seconds."""
     if sys.stderr is not None and sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def bar(total: int, shown: bool, unit: str = "step") -> Iterator[Callable[[int], object]]:
+    """Yield a function that moves a progress bar on by a number of units; it is erased at the block's end.
+
+    Nothing is written if it is not ``shown``, if standard error is no terminal, or if tqdm is not installed.
+    """
+    tqdm = None
+    if shown and sys.stderr is not None and sys.stderr.isatty():
+        with suppress(ImportError):
+            tqdm = importlib.import_module("tqdm").tqdm
+    if tqdm is None:
+        yield lambda count: None
+    else:
+        with tqdm(total=total, unit=unit, leave=False) as moved:
+            yield moved.update
 
 
 def called(name: str, *arguments: str) -> str:

@@ -35,7 +35,8 @@ def test_it_writes_an_episode_of_each_policy_as_a_page_of_the_scene_that_was_dra
     for row in json.loads((tmp_path / "out.json").read_text())["results"][:2]:  # the first episode that was counted
         assert f"{row['policy']}.html: return {row['mean']:.1f}" in done.stdout
     settings = EnvSettings(randomize=varied)
-    scene = record_episode(find_policy("level", settings), settings.env_settings, derived_seed("evaluation", 0)).scene
+    start = derived_seed("evaluation", 0)
+    scene = record_episode(find_policy("level", settings), settings.env_settings, start).motion.scene
     data = data_of(tmp_path / "pages" / "level.html")
     assert data["held"]
     assert data["halfWidth"] == scene.box_half_width != 6.0

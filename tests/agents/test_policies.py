@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.evaluation import film as filming
 from agents.evaluation.film import film
 from agents.evaluation.returns import Returns, above, evaluate, table
 from agents.policies.registry import SCRIPTED, find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
+from jackbox_env.recording.film import check_film
 from scripts import train as train_command
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
@@ -182,4 +182,4 @@ def test_a_film_shows_every_control_step_of_a_decision_and_stands_still_after_th
 def test_a_film_is_refused_before_anything_is_computed(name: str, error: type[Exception], tmp_path: Path) -> None:
     (tmp_path / "there.gif").touch()
     with pytest.raises(error, match=name.split("/")[0]):
-        filming.check_film(tmp_path / name)
+        check_film(tmp_path / name)

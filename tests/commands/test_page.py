@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from jackbox_env import Scene, make_simulator
+from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import write_page
-from jackbox_env.recording.trajectory import Trajectory
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, hexed
 from tests.browser import Opened
 from tests.commands.test_samples import run
 
 
 @pytest.fixture(scope="module")
-def trajectory() -> Trajectory:
+def motion() -> Motion:
     return run(Scene(), 10.0, contact="exact")
 
 
 @pytest.fixture(scope="module")
-def file(trajectory: Trajectory, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "trajectory.html"
-    return write_page(path, Scene(), trajectory, "</script><b>a test", [("contact model", "exact")])
+    return write_page(path, motion, "</script><b>a test", [("contact model", "exact")])
 
 
 class Film(Opened):
@@ -64,11 +64,11 @@ def test_it_plays_by_itself_and_never_faster_than_the_clock(opened: Film) -> Non
     assert 0.0 < after[1] - before[1] < after[0] - before[0] + 0.2  # a busy machine lets it fall behind
 
 
-def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Film, trajectory: Trajectory) -> None:
+def test_the_list_names_each_impact_and_a_click_jumps_to_it(opened: Film, motion: Motion) -> None:
     listed = opened.page.locator("#impacts tr")
-    assert listed.count() == len(trajectory.impacts)
-    for index in (0, 4, len(trajectory.impacts) - 1):
-        hit, row = trajectory.impacts[index], listed.nth(index)
+    assert listed.count() == len(motion.impacts)
+    for index in (0, 4, len(motion.impacts) - 1):
+        hit, row = motion.hits[index], listed.nth(index)
         cells = row.locator("td").all_inner_texts()
         assert cells == [f"{hit.time:.4f}", str(hit.wall), str(hit.foot), f"{hit.impulse:#.4g}"]
         row.click()
@@ -107,10 +107,10 @@ def test_a_click_in_a_plot_seeks(opened: Film, plots: str) -> None:
 
 
 @pytest.mark.parametrize("since", [-0.004, 0.0005, 0.0137])
-def test_between_its_samples_it_shows_where_the_model_is(opened: Film, trajectory: Trajectory, since: float) -> None:
+def test_between_its_samples_it_shows_where_the_model_is(opened: Film, motion: Motion, since: float) -> None:
     """Also next to an impact, between two stored states: the corner is not cut."""
     opened.pause()
-    for hit in trajectory.impacts[:4]:
+    for hit in motion.hits[:4]:
         exact = make_simulator(Scene(), contact="exact")
         exact.reset([0.0] * 12)
         exact.step(hit.time + since)
@@ -135,14 +135,14 @@ def test_every_width_shows_all_without_sideways_scrolling(opened: Film, width: i
 
 def test_impacts_beyond_the_list_are_counted_and_stepped_through(browser: Any, tmp_path: Path) -> None:
     scene = Scene(restitution=0.4, drive=None)
-    trajectory = run(scene, 8.0, 0.005)  # comes to rest
-    opened = Film(browser, write_page(tmp_path / "trajectory.html", scene, trajectory, "rest", []))
+    motion = run(scene, 8.0, 0.005)  # comes to rest
+    opened = Film(browser, write_page(tmp_path / "trajectory.html", motion, "rest", []))
     opened.pause()
     opened.seek(8.0)
-    assert len(trajectory.impacts) > opened.page.locator("#impacts tr").count() == 2000
-    assert opened.page.locator("#hits").inner_text() == str(len(trajectory.impacts))
+    assert len(motion.impacts) > opened.page.locator("#impacts tr").count() == 2000
+    assert opened.page.locator("#hits").inner_text() == str(len(motion.impacts))
     opened.page.keyboard.press("Shift+ArrowLeft")
-    assert opened.time == pytest.approx(trajectory.impacts[-2].time, abs=0.006)
+    assert opened.time == pytest.approx(motion.hits[-2].time, abs=0.006)
     opened.close()
 
 

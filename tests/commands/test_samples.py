@@ -14,17 +14,19 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.mechanics import gaps, impact_map
+from jackbox_env.recording.files import write_csv
+from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import write_page
+from jackbox_env.recording.recorder import Recorder
 from jackbox_env.recording.samples import SPACING, Samples, samples_of
-from jackbox_env.recording.trajectory import Trajectory, TrajectoryRecorder, simulate, write_csv
+from jackbox_env.recording.simulation import recorded
 from jackbox_env.simulators import Impact
+from jackbox_env.simulators.fidelity import resolve
 from tests.states import load
 
 
-def run(scene: Scene, seconds: float = 3.0, dt: float = 0.02, **model: Any) -> Trajectory:
-    simulator = make_simulator(scene, **model)
-    simulator.reset([0.0] * 12)
-    return simulate(simulator, seconds, dt, progress=False)
+def run(scene: Scene, seconds: float = 3.0, dt: float = 0.02, **model: Any) -> Motion:
+    return recorded(scene, resolve(**model), [0.0] * 12, 0.0, seconds, dt, None)
 
 
 def at_impacts(samples: Samples) -> list[int]:
@@ -33,27 +35,36 @@ def at_impacts(samples: Samples) -> list[int]:
 
 
 def test_points_in_flight_are_where_the_exact_model_goes() -> None:
-    trajectory = run(Scene(), contact="exact")
-    samples = samples_of(Scene(), trajectory)
+    motion = run(Scene(), contact="exact")
+    samples = samples_of(motion)
     wide = np.diff(samples.times) > SPACING + 1e-12
-    assert wide.sum() <= 2 * len(trajectory.impacts)  # before and after the impact of a step
+    assert wide.sum() <= 2 * len(motion.impacts)  # before and after the impact of a step
     finer = make_simulator(Scene(), contact="exact")
     finer.reset([0.0] * 12)
     now = 0.0
     for time, state in zip(samples.times[1:], samples.states[1:], strict=True):
-        if time > now + 1e-9 and not np.any(np.abs(time - np.array([hit.time for hit in trajectory.impacts])) < 1e-9):
+        if time > now + 1e-9 and not np.any(np.abs(time - np.array([hit.time for hit in motion.hits])) < 1e-9):
             finer.step(time - now)
             now = time
             np.testing.assert_allclose(state, finer.state, rtol=0.0, atol=1e-9)
     assert now == pytest.approx(3.0)
 
 
+def test_a_long_step_with_impacts_has_points_between_them_where_the_motion_is() -> None:
+    motion = run(Scene(restitution=0.9), 10.0, 5.0, contact="exact")
+    samples = samples_of(motion)
+    assert len(motion.impacts) > 10
+    assert np.diff(samples.times).max() < SPACING + 1e-12
+    ordinary = ~np.isin(samples.times, motion.impacts["time"])
+    np.testing.assert_allclose(samples.states[ordinary], motion(samples.times[ordinary]), rtol=0.0, atol=1e-5)
+
+
 def test_an_impact_has_the_states_before_and_after_it() -> None:
-    trajectory = run(Scene(), contact="exact")
-    samples = samples_of(Scene(), trajectory)
+    motion = run(Scene(), contact="exact")
+    samples = samples_of(motion)
     before = at_impacts(samples)
     known = [hit for hit in load("seed_scene")[0]["impacts"] if hit["time"] < 3.0]
-    assert len(before) == len(known) == len(trajectory.impacts)
+    assert len(before) == len(known) == len(motion.impacts)
     for index, hit in zip(before, known, strict=True):
         assert samples.times[index] == pytest.approx(hit["time"], abs=1e-9)
         assert abs(gaps(Scene(), samples.states[index])[hit["wall"], hit["foot"]]) < 1e-9
@@ -63,19 +74,19 @@ def test_an_impact_has_the_states_before_and_after_it() -> None:
 
 
 def test_pymunks_impacts_are_where_its_substeps_end() -> None:
-    trajectory = run(Scene(), contact="pymunk")
-    samples = samples_of(Scene(), trajectory)
-    for hit in trajectory.impacts:
+    motion = run(Scene(), contact="pymunk")
+    samples = samples_of(motion)
+    for hit in motion.hits:
         (index, *_) = np.flatnonzero(np.abs(samples.times - hit.time) < 1e-12)
         depth = -gaps(Scene(), samples.states[index])[hit.wall, hit.foot]
         assert 0.0 < depth < 0.12  # as deep as docs/accuracy.md has it
         np.testing.assert_allclose(samples.states[index][:6], samples.states[index + 1][:6], rtol=0.0, atol=1e-14)
-    assert set(trajectory.times.tolist()) <= set(samples.times.tolist())
+    assert set(motion.t.tolist()) <= set(samples.times.tolist())
 
 
 @pytest.mark.parametrize(("contact", "close"), [("exact", 1e-12), ("pymunk", 1e-4)])
 def test_the_work_of_the_torque_is_the_energy_gained(contact: str, close: float) -> None:
-    samples = samples_of(Scene(), run(Scene(), 10.0, contact=contact))
+    samples = samples_of(run(Scene(), 10.0, contact=contact))
     gained = samples.energies - samples.energies[0]
     assert np.ptp(samples.work) > 1e4
     assert np.abs(gained - samples.work).max() < close * np.ptp(samples.work)
@@ -83,7 +94,7 @@ def test_the_work_of_the_torque_is_the_energy_gained(contact: str, close: float)
 
 def test_with_loss_the_energy_falls_behind_the_work_at_impacts_alone() -> None:
     scene = Scene(restitution=0.8)
-    samples = samples_of(scene, run(scene, 5.0, contact="exact"))
+    samples = samples_of(run(scene, 5.0, contact="exact"))
     behind = np.diff(samples.work - (samples.energies - samples.energies[0]))
     hits = at_impacts(samples)
     assert len(hits) >= 3
@@ -94,9 +105,9 @@ def test_with_loss_the_energy_falls_behind_the_work_at_impacts_alone() -> None:
 @pytest.mark.parametrize("drive", [None, Chirp(3000.0, 0.5, 0.0), Drive(force_y=math.sin)])
 def test_a_foot_at_rest_is_not_let_fall_between_the_stored_states(drive: Any) -> None:
     scene = Scene(restitution=0.2, drive=drive)
-    trajectory = run(scene, 8.0, contact="exact")
-    assert trajectory.counts[-100:].min() >= 1  # held
-    samples = samples_of(scene, trajectory)
+    motion = run(scene, 8.0, contact="exact")
+    assert motion.counts[-100:].min() >= 1  # held
+    samples = samples_of(motion)
     late = samples.times > 6.0
     behind = (samples.work - samples.energies)[late]
     assert np.ptp(behind) < max(1e-6 * np.ptp(samples.work[late]), 1e-9)
@@ -106,21 +117,21 @@ def test_a_foot_at_rest_is_not_let_fall_between_the_stored_states(drive: Any) ->
 def test_held_torques_are_shown_as_they_were_held() -> None:
     simulator = make_simulator(Scene(), contact="exact")
     simulator.reset([0.0] * 12)
-    recorder = TrajectoryRecorder(simulator.state, 0.0, driven=False)
+    recorder = Recorder(Scene(), 0.02, simulator.state, 0.0, driven=False)
     torques = [50000.0, -30000.0, 10000.0]
     for torque in torques:
         simulator.step(0.02, torque)
         recorder.add(simulator.state, simulator.time, simulator.torque, simulator.impacts)
-    samples = samples_of(Scene(), recorder.trajectory())
+    samples = samples_of(Motion(recorder.record()))
     np.testing.assert_allclose(samples.torques[1:], np.repeat(torques, 4), rtol=1e-15)
     np.testing.assert_allclose(samples.energies, samples.work, atol=1e-9)
 
 
 def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:
-    trajectory = TrajectoryRecorder(np.zeros(12), 2.0).trajectory("why")
-    samples = samples_of(Scene(), trajectory)
+    motion = Motion(Recorder(Scene(), 0.02, np.zeros(12), 2.0).record(RuntimeError("why")))
+    samples = samples_of(motion)
     assert samples.times.tolist() == [2.0]
-    assert write_csv(trajectory, Scene(), tmp_path)[0].read_text().count("\n") == 2
+    assert write_csv(motion.tables(), tmp_path / "states.csv", tmp_path / "impacts.csv")[0].read_text().count("\n") == 2
 
 
 # -- the page as a file ------------------------------------------------------------------------------------------------
@@ -145,13 +156,13 @@ def impacts_of(data: dict[str, Any]) -> list[Impact]:
 
 
 def test_the_page_has_every_stored_state_to_the_last_bit_and_nothing_from_elsewhere(tmp_path: Path) -> None:
-    trajectory = run(Scene(), 10.0, contact="exact")
-    page = write_page(tmp_path / "page.html", Scene(), trajectory, "a test", [("contact model", "exact")])
+    motion = run(Scene(), 10.0, contact="exact")
+    page = write_page(tmp_path / "page.html", motion, "a test", [("contact model", "exact")])
     data = data_of(page)
     columns = np.frombuffer(base64.b64decode(data["samples"]), "<f8").reshape(-1, len(data["columns"]))
-    last = np.searchsorted(columns[:, 0], trajectory.times, side="right") - 1  # of the samples at each time
-    np.testing.assert_array_equal(columns[last, :13], np.column_stack([trajectory.times, trajectory.states]))
-    assert impacts_of(data) == trajectory.impacts
+    last = np.searchsorted(columns[:, 0], motion.t, side="right") - 1  # of the samples at each time
+    np.testing.assert_array_equal(columns[last, :13], np.column_stack([motion.t, motion.states]))
+    assert impacts_of(data) == motion.hits
     facts = dict(data["facts"])
     assert (facts["contact model"], facts["time"], facts["time step"]) == ("exact", "0 s to 10 s", "0.02 s")
     assert (facts["box half width L"], facts["jack mass"], facts["restitution"]) == ("6 m", "4 kg", "1")
@@ -159,18 +170,18 @@ def test_the_page_has_every_stored_state_to_the_last_bit_and_nothing_from_elsewh
     assert "{{" not in page.read_text()
     assert not re.search(r"https?:|//\w+\.\w", page.read_text())  # nothing is fetched from elsewhere
     with pytest.raises(FileExistsError):
-        write_page(page, Scene(), trajectory, "a test", [])
+        write_page(page, motion, "a test", [])
 
 
 def test_a_page_of_very_many_impacts_lists_the_first_and_notes_it(tmp_path: Path) -> None:
     scene = Scene(restitution=0.2, drive=None)
-    trajectory = run(scene, 60.0, 0.005, contact="exact")
-    page = write_page(tmp_path / "page.html", scene, trajectory, "a test", [])
+    motion = run(scene, 60.0, 0.005, contact="exact")
+    page = write_page(tmp_path / "page.html", motion, "a test", [])
     data = data_of(page)
     names, listed, _ = data["notes"]
     assert "Wall 0 is on the right" in names
-    assert f"2,000 of {len(trajectory.impacts):,} " in listed
-    assert impacts_of(data) == trajectory.impacts
+    assert f"2,000 of {len(motion.impacts):,} " in listed
+    assert impacts_of(data) == motion.hits
 
 
 @pytest.mark.parametrize(
@@ -182,6 +193,6 @@ def test_a_page_of_very_many_impacts_lists_the_first_and_notes_it(tmp_path: Path
     ],
 )
 def test_other_scenes_have_pages_too(tmp_path: Path, scene: Scene) -> None:
-    data = data_of(write_page(tmp_path / "page.html", scene, run(scene, 1.0, contact="exact"), "a test", []))
+    data = data_of(write_page(tmp_path / "page.html", run(scene, 1.0, contact="exact"), "a test", []))
     assert data["halfWidth"] == scene.box_half_width
     assert dict(data["facts"])["drive"] in ("functions of time", "none", "chirp, 90000 N m, from 0.5 Hz by 0.9 Hz/s")

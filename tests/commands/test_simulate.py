@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
+import itertools
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +21,9 @@ import pytest
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.commands import simulate
 from jackbox_env.commands.fit import read_recording
-from jackbox_env.recording import trajectory as trajectories
+from jackbox_env.recording.simulation import recorded
+from jackbox_env.simulators.fidelity import resolve
+from jackbox_env.tools.command_line import bar
 
 
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
@@ -29,17 +35,21 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> Non
 def test_ctrl_c_leaves_no_folder_and_prints_a_message(tmp_path: Path) -> None:
     pytest.importorskip("tqdm")  # shows the progress that is awaited
     command = [sys.executable, "-m", "jackbox_env", "simulate", "--seconds", "1e5"]
+    terminal, end = os.openpty()
+    termios.tcsetwinsize(end, (24, 120))
     at_work = subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+        command, cwd=tmp_path, stderr=end, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
     )
-    assert at_work.stderr is not None
+    os.close(end)
     seen = b""
     while b"step/s" not in seen:  # its progress
-        seen += os.read(at_work.stderr.fileno(), 4096)
+        seen += os.read(terminal, 4096)
     at_work.send_signal(signal.SIGINT)
-    seen += at_work.stderr.read()
+    with contextlib.suppress(OSError):  # the terminal closes
+        while True:
+            seen += os.read(terminal, 4096)
     assert at_work.wait(timeout=60) == 130
-    at_work.stderr.close()
+    os.close(terminal)
     assert b"nothing was written" in seen
     assert not list(tmp_path.iterdir())
 
@@ -73,11 +83,9 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monk
 
 @pytest.mark.parametrize("contact", ["exact", "pymunk"])
 def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
-    simulator = make_simulator(contact=contact)
-    trajectory = trajectories.simulate(simulator, 0.5, 0.02, progress=False)
-    scene = simulator.scene
-    states, *_ = trajectories.write_csv(trajectory, scene, tmp_path)
-    (arrays,) = trajectories.write_npz(trajectory, scene, tmp_path)
+    motion = recorded(Scene(), resolve(contact=contact), np.zeros(12), 0.0, 0.5, 0.02, None)
+    states, _ = motion.save(tmp_path / "run.csv")
+    (arrays,) = motion.save(tmp_path / "run.npz")
     with states.open() as file:
         *rows, last = csv.DictReader(file)
     assert last["torque [N m]"] == ""
@@ -86,6 +94,36 @@ def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
     means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(25)]
     np.testing.assert_allclose(torques, means, rtol=1e-6)
     assert np.load(arrays)["impact_time"].shape == (0,)  # none in half a second
+
+
+@pytest.mark.parametrize("film", ["run.gif", "run.mp4"])
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # of imageio
+def test_a_film_shows_the_motion_at_any_step(
+    film: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imageio = pytest.importorskip("imageio.v3")
+    options = ["--seconds", "0.6", "--dt", "0.3", "--state", "y_jack=-4.5", "--folder", "out"]
+    run(monkeypatch, tmp_path, *options, "--film", film)
+    frames = imageio.imread(tmp_path / film)
+    assert len(frames) == 16  # at 0, 0.04, ... 0.6 s; an impact is at 0.32 s
+    assert all((one != other).any() for one, other in itertools.pairwise(frames))  # it never stands still
+    out, err = capsys.readouterr()
+    assert f"  {film}" in out.splitlines()
+    assert "frame" not in err  # no bar, as this is no terminal
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "--film", film)
+    assert "run" in capsys.readouterr().err
+
+
+def test_bars_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("tqdm")
+    for terminal, shown, expected in ((True, True, True), (False, True, False), (True, False, False)):
+        written = io.StringIO()
+        monkeypatch.setattr(written, "isatty", lambda terminal=terminal: terminal)
+        monkeypatch.setattr(sys, "stderr", written)
+        with bar(3, shown) as moved:
+            moved(2)
+        assert ("2/3" in written.getvalue() or "step" in written.getvalue()) == expected
 
 
 def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
@@ -167,7 +205,6 @@ def test_a_file_has_the_same_torques_for_simulate_and_fit(
     ("options", "sentence"),
     [
         ("--seconds nan", "seconds must be a finite number above 0"),
-        ("--dt 20", "dt must be at most seconds = 10, got 20"),
         ("--state [1,2]", r"\(2,\)"),
         ("--state [0,0,0,6.5,0,0,0,0,0,0,0,0]", "at most 1 m outside, got 1.5 m"),
         ("--state " + "[" * 100_000, "state"),
@@ -193,6 +230,8 @@ def test_a_file_has_the_same_torques_for_simulate_and_fit(
         ("--torque text.npz", "text.npz: must be an npz file of jackbox simulate, got "),
         ("--torque empty.npz", "empty.npz: must be an npz file of jackbox simulate, got No data left in file"),
         ("--torque empty.csv", r"empty.csv, row 1: there must be a column torque \[N m\], got none"),
+        ("--film run.avi", "a film must be a .gif or .mp4 file, got 'run.avi'"),
+        ("--film run.gif --seconds 61", "seconds of a film must be a finite number at most 60, got 61"),
         ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
         ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),
     ],

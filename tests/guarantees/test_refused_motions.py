@@ -143,6 +143,13 @@ def test_with_too_few_iterations_the_feet_would_not_obey_the_law(monkeypatch: py
     assert velocity_error(scene, impact_in_an_instant(scene, state, iterations=64).state[6:], expected[6:]) > 1e-3
 
 
+def test_a_step_that_is_too_long_for_pymunk_names_its_length() -> None:
+    simulator = make_simulator(fidelity="balanced")
+    simulator.reset([0.0] * 12)
+    with pytest.raises(JackLostError, match="in the step of dt = 10 s after t = 0 s the contacts gain or lose energy"):
+        simulator.step(10.0)
+
+
 def wedged(scenes: int = 15) -> tuple[list[str], float]:
     """Errors of courses with feet in opposite walls, and the largest share of energy lost in the others."""
     rng, refused, loss = np.random.default_rng(0), list[str](), 0.0

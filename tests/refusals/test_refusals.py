@@ -21,6 +21,7 @@ from jackbox_env import (
     Chirp,
     JackInBoxEnv,
     JackInBoxVectorEnv,
+    Motion,
     Scene,
     Task,
     make_simulator,
@@ -32,7 +33,11 @@ from jackbox_env.model.tasks import juggle
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Simulator
 from tests.refusals.kinds import Hostile, out, real
-from tests.refusals.table import START, TABLE, Row, simulator
+from tests.refusals.motions import ROWS
+from tests.refusals.table import START, Row, simulator
+from tests.refusals.table import TABLE as OTHERS
+
+TABLE = [*OTHERS, *ROWS]
 
 
 def flat(seen: Any) -> list[Any]:
@@ -199,7 +204,7 @@ def test_a_wrong_name_or_combination_is_refused(call: Any, error: type[Exception
 
 # Records and errors; a protocol; checked where it is used.
 WITHOUT_ARGUMENTS = {
-    "Impact", "Fit", "Linearization", "Rollout", "State", "StepResult", "JackLostError", "Simulator", "Task",
+    "Impact", "Fit", "Linearization", "Rollout", "State", "StepResult", "JackLostError", "Motion", "Simulator", "Task",
     "TaskError", "Recording", "fit",  # tests/measuring/test_fitting.py
 }  # fmt: skip
 # These check nothing, for speed: their caller has checked the arguments.
@@ -208,7 +213,7 @@ UNCHECKED = {
     "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.
-ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}}
+ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}, "Motion.save": {"path"}}
 
 
 def parameters(function: Any) -> set[str]:
@@ -219,7 +224,7 @@ def parameters(function: Any) -> set[str]:
 def test_every_public_callable_and_each_of_its_parameters_is_in_the_table() -> None:
     rows = {row.name: {name.partition(".")[0] for name in row.arguments} for row in TABLE}
     public = {name: getattr(jackbox_env, name) for name in set(jackbox_env.__all__) - WITHOUT_ARGUMENTS}
-    for owner in (mechanics, states, Simulator, JackInBoxEnv, JackInBoxVectorEnv):
+    for owner in (mechanics, states, Simulator, JackInBoxEnv, JackInBoxVectorEnv, Motion):
         for name, one in inspect.getmembers(owner, inspect.isfunction):
             qualified = f"{owner.__name__}.{name}" if inspect.isclass(owner) else name
             if one.__module__ == getattr(owner, "__module__", owner.__name__) and one.__qualname__ == qualified:

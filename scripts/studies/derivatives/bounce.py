@@ -115,7 +115,7 @@ def leans_of(bounce: Array, feedback: Array, clock: bool) -> Array:
     starts = np.tile(bounce[:PERIOD], (len(SPINS), 1, 1))
     starts[..., _ORDER.index(OMEGA_JACK)] += np.radians(SPINS)[:, None]
     states, phases, leaning = starts.reshape(-1, 8) @ LIFT.T, np.tile(np.arange(PERIOD), len(SPINS)), []
-    for step in trange(round(SECONDS / DT), desc="bounces", unit="step", leave=False):
+    for step in trange(round(SECONDS / DT), desc="bounces", unit="step", leave=False, disable=None):
         z = states @ REDUCE.T
         ahead = phases + step if clock else np.rint((phase(z) - phase(bounce[:1])) * PERIOD)
         k = ahead.astype(np.intp) % PERIOD

@@ -45,4 +45,4 @@ def norms(horizon: float) -> dict[str, Any]:
 
 def measure() -> list[dict[str, Any]]:
     """The norms over each horizon."""
-    return [norms(horizon) for horizon in tqdm(HORIZONS, desc="policy gradients", leave=False)]
+    return [norms(horizon) for horizon in tqdm(HORIZONS, desc="policy gradients", leave=False, disable=None)]

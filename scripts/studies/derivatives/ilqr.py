@@ -62,7 +62,7 @@ def improved(start: Array, plan: Array) -> dict[str, float]:
 def measure() -> dict[str, Any]:
     """For each kind of plan: returns and core times [s], without iLQR and with it, compared with the longer iCEM."""
     runs: dict[str, list[dict[str, float]]] = {kind: [] for kind in ITERATIONS}
-    for number in trange(-1, PROBLEMS, desc="iLQR", leave=False):  # the first compiles, and is not counted
+    for number in trange(-1, PROBLEMS, desc="iLQR", leave=False, disable=None):  # the first compiles, uncounted
         seed = max(0, number)
         start = sample_start(SCENE, np.random.default_rng(seed))
         for kind, iterations in ITERATIONS.items():

@@ -106,7 +106,7 @@ def figures(policy: str) -> dict[str, Any]:
 
 def measure() -> dict[str, Any]:
     """The exponents of the motion under each policy, and how its errors grow with time."""
-    return {policy: figures(policy) for policy in tqdm(STYLES, desc="exponents", leave=False)}
+    return {policy: figures(policy) for policy in tqdm(STYLES, desc="exponents", leave=False, disable=None)}
 
 
 def draw(results: Mapping[str, Any], path: Path) -> None:

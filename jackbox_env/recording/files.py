@@ -1,0 +1,85 @@
+"""Files and tables of a motion: npz, csv, mat, and a pandas.DataFrame. Columns have a name, and files their units."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import new_file
+
+Columns = dict[tuple[str, str], NDArray[Any]]  # by name and unit, "" without
+
+
+def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Columns]) -> list[Path]:
+    """Write the arrays of a motion to a new .npz or .mat file, or its tables of states and impacts to two .csv files.
+
+    Raises:
+        TypeError, ValueError, OSError, ImportError: as of ``Motion.save``.
+    """
+    suffix = check.choice("the suffix of path", path.suffix, (".npz", ".csv", ".mat"))
+    if suffix == ".csv":
+        return write_csv(tables, path, path.with_stem(f"{path.stem}_impacts"))
+    write: Any = np.savez
+    if suffix == ".mat":
+        write = _library("scipy.io", ".mat files", "SciPy", "train").savemat
+    with new_file(path) as partial:
+        write(partial, arrays) if suffix == ".mat" else write(partial, **arrays)
+    return [path]
+
+
+def frame(columns: Columns) -> Any:
+    """A pandas.DataFrame of columns, without units."""
+    library: Any = _library("pandas", "to_frame", "pandas", "notebooks")
+    return library.DataFrame({name: numbers for (name, _), numbers in columns.items()})
+
+
+def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> list[Path]:
+    """Write a file of states (time, the 12 numbers, torque) and one of impacts, to new files; return them.
+
+    Digits are in full. The first line names each column with its unit. A row's torque is the mean over the step that
+    begins there; the last row's is empty.
+
+    Raises:
+        FileExistsError: a file is there already.
+    """
+    for path, columns in zip((states, impacts), tables, strict=True):
+        names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
+        rows = zip(*(numbers.tolist() for numbers in columns.values()), strict=True)
+        with new_file(path) as partial, partial.open("w", newline="") as file:
+            csv.writer(file).writerows([names, *(["" if cell != cell else cell for cell in row] for row in rows)])
+    return [states, impacts]
+
+
+def write_scene(scene: Scene, path: Path) -> Path:
+    """Write the JSON of a scene's fields to a new file.
+
+    Raises:
+        FileExistsError: the file is there already.
+        ValueError: the scene's drive has no JSON form.
+    """
+    text = json.dumps(scene.as_dict(), indent=2) + "\n"
+    with new_file(path) as partial:
+        partial.write_text(text)
+    return path
+
+
+def by_name(prefix: str, states: Array) -> Columns:
+    """The columns of states, shape (n, 12)."""
+    pairs = zip(STATE_NAMES, STATE_UNITS, states.T, strict=True)
+    return {(f"{prefix}{name}", unit): numbers for name, unit, numbers in pairs}
+
+
+def _library(module: str, what: str, package: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ImportError(check.extra_needed(what, package, extra)) from error

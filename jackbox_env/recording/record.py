@@ -1,0 +1,135 @@
+"""What a simulation stores: states at the ends of control steps, and impacts with the states before and after them.
+
+:mod:`jackbox_env.recording.recorder` fills it in, and :mod:`jackbox_env.recording.motion` reads it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.motion import Moments, coast, fly
+from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array, Counts, Flags
+from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, ExactSimulator, drive_kind, joined, pieces_for
+
+#: Of an impact: time [s], wall, foot, impulse [N s].
+IMPACT = [("time", "f8"), ("wall", "i8"), ("foot", "i8"), ("impulse", "f8")]
+#: With the states just before and just after it.
+JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12)]
+
+ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
+
+Impacts = NDArray[Any]  # structured
+
+
+class WithoutStates(np.ndarray[Any, Any]):
+    """Impacts of a contact model that has no states before and after them."""
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str) and key in ("before", "after"):
+            raise ValueError(f"these impacts have no states {key} them: that needs fidelity='exact'")
+        return super().__getitem__(key)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A simulation in n control steps with m impacts.
+
+    Attributes:
+        scene: the scene.
+        dt: duration of a step [s].
+        rest: duration of the last step if it is shorter [s], else 0.
+        times: at the ends of steps, the start first [s], shape (n + 1,).
+        states: SI units, shape (n + 1, 12).
+        torques: constant in each step [N m], n of them or more; None: the scene's drive acts.
+        impacts: structured, shape (m,), in time order; without the states of ``JUMP`` if the contact model has none.
+        steps: in which each impact is, shape (m,).
+        held: number of feet at rest before each impact in its step, -1 for the impulse of a foot at rest; shape (m,).
+        failure: the error that ended it early.
+    """
+
+    scene: Scene
+    dt: float
+    rest: float
+    times: Array
+    states: Array
+    torques: Array | None
+    impacts: Impacts
+    steps: Counts
+    held: Counts
+    failure: Exception | None = None
+
+    @cached_property
+    def knots(self) -> Knots:
+        """The moments at which flights begin."""
+        jumps = np.flatnonzero(self.held >= 0)
+        number = np.concatenate([np.arange(len(self.times)), self.steps[jumps]])
+        order = np.argsort(number, kind="stable")  # the start of a step, then its jumps
+        times = np.concatenate([self.times, self.impacts["time"][jumps]])[order]
+        states = np.concatenate([self.states, self.impacts["after"][jumps]])[order]
+        arrived = np.concatenate([self.states, self.impacts["before"][jumps]])[order]
+        ends = np.zeros(len(self.times), np.bool_)
+        ends[self.steps[self.held < 0] + 1] = True  # at the end of these steps a foot is at rest
+        ended = np.concatenate([ends, self.held[jumps] > 0])[order]
+        return Knots(times, states, arrived[1:], number[order], np.append(ended[1:], False))
+
+    def refuse_no_states(self) -> None:
+        """Raise ValueError unless there are states between control steps."""
+        if "before" not in (self.impacts.dtype.names or ()):
+            raise ValueError(f"this motion has states at the ends of control steps only: {ONLY_EXACT}")
+
+    def flown(self, indices: Counts, durations: Array) -> Array:
+        """The states some time after knots [s], shape (n, 12), before the next knot."""
+        knots = self.knots
+        states: Array = knots.states[indices].copy()
+        moved = np.flatnonzero(durations > 0.0)
+        held = knots.held[indices[moved]]
+        for index in moved[held]:
+            knot = indices[index]
+            simulator = ExactSimulator(self.scene)
+            simulator.reset(knots.states[knot], float(knots.times[knot]))
+            torque = None if self.torques is None else float(self.torques[knots.steps[knot]])
+            states[index] = simulator.step(float(durations[index]), torque).state
+        if (flying := moved[~held]).size:
+            states[flying] = self._coasted(indices[flying], durations[flying])
+        return states
+
+    def _coasted(self, indices: Counts, durations: Array) -> Array:
+        """:func:`flown` without feet at rest."""
+        knots, scene = self.knots, self.scene
+        kind, count = drive_kind(scene.drive, self.torques is not None), len(indices)
+        unique, number = np.unique(indices, return_inverse=True)
+        table, ends = NO_TABLE, np.zeros(len(unique) + 1, np.int64)
+        if kind in WITH_PIECES:
+            spans = zip(
+                knots.times[unique].tolist(), (knots.times[unique + 1] - knots.times[unique]).tolist(), strict=True
+            )
+            held = None if self.torques is None else 0.0
+            table, _, ends = joined([pieces_for(scene.drive, *span, held) for span in spans], ends[:1])
+        torques = np.zeros(count) if self.torques is None else self.torques[knots.steps[indices]]
+        moments = Moments(
+            knots.states[indices], knots.times[indices], torques, durations, table, ends[number], ends[number + 1]
+        )
+        states: Array = np.empty((count, 12))
+        loop = compiled(fly, advance=coast)
+        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((1, 1)))
+        if failed >= 0:
+            raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")
+        return states
+
+
+class Knots(NamedTuple):
+    """The moments at which flights begin: starts of steps, then the impacts within them, and the end."""
+
+    times: Array  # [s], (n,)
+    states: Array  # after an impact, (n, 12)
+    ends: Array  # states at the next one, before its impact, (n - 1, 12)
+    steps: Counts  # (n,)
+    held: Flags  # whether a foot may be at rest before the next one, (n,)

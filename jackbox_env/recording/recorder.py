@@ -1,0 +1,203 @@
+"""Records of simulations: step by step by the exact contact model or any other, to the end, an event or a failure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from jackbox_env.envs.batches.threads import Halt, run_blocks
+from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.motion import leave_frames
+from jackbox_env.exact.run import PATIENCE, run
+from jackbox_env.exact.workspace import (
+    AFTER,
+    BEFORE,
+    HELD_SO_FAR,
+    JUMPS,
+    NOTHING,
+    SCENE_PARAMS,
+    SCRATCH,
+    TIME,
+    TORQUES,
+    WIDTH,
+    Call,
+    Memory,
+    Rules,
+    Scenes,
+    new_workspaces,
+)  # fmt: skip
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array
+from jackbox_env.recording.events import Event
+from jackbox_env.recording.record import IMPACT, JUMP, Record, WithoutStates
+from jackbox_env.simulators import Impact, JackLostError, Simulator
+from jackbox_env.simulators.exact import (
+    NO_PIECES,
+    WITH_PIECES,
+    drive_kind,
+    ensure_compiled,
+    failure,
+    joined,
+    pieces_for,
+)
+from jackbox_env.tools.command_line import bar
+
+_ROOM = 1024  # impacts in a log at first
+_CHUNK = 64  # steps between two searches for an event at first, then twice as many each time
+
+# Simulates from a state and a time [s] in steps of dt [s], by their number, under constant torques or the drive (None).
+Advance = Callable[[Array, float, float, int, Array | None], Record]
+
+
+def exact_advance(scene: Scene) -> Advance:
+    """Simulation by the exact contact model; the jack's loss ends it early, with the error as the record's failure."""
+    ensure_compiled()
+    return partial(_exact_record, scene)
+
+
+def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int, torques: Array | None) -> Record:
+    times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
+    held, pieces = torques is not None, NO_PIECES
+    kind = np.array([drive_kind(scene.drive, held)])
+    if kind[0] in WITH_PIECES:
+        tables = [pieces_for(scene.drive, one, dt, 0.0 if held else None) for one in times[:-1].tolist()]
+        pieces = joined(tables, np.zeros(1, np.int64))
+    blocks = np.zeros((2, 1, WIDTH, 1))
+    blocks[0, 0, :12, 0], blocks[0, 0, TIME] = state, time
+    states, values = np.empty((1, steps + 1, 12)), np.array([scene.numbers])
+    states[0, 0] = state
+    results = NOTHING._replace(
+        terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_), trajectories=states,
+        hits=np.zeros((steps, 1), np.int64), impulses=np.zeros((steps, 1)),
+    )  # fmt: skip
+    calls = [Call(Memory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
+    calls[0].prepare(
+        Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
+        Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, 0, 0, 0, PATIENCE),
+        blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques)[:, None], results,
+    )  # fmt: skip
+    ended, _, step, _, logs = run_blocks(compiled(run), calls, 0, 0, 1, Halt())
+    done = step if ended else steps
+    error = failure(ended, scene, float(times[step]), dt) if ended else None
+    rows, in_step = np.concatenate([np.zeros((0, JUMPS)), *logs]), np.repeat(np.arange(steps), results.hits[:, 0])
+    workspaces = new_workspaces()
+    compiled(leave_frames)(values[0], dt, kind[0], states[0, in_step], rows, workspaces)
+    impacts = np.empty(len(rows), JUMP)
+    impacts["time"] = np.minimum(times[in_step] + rows[:, 0], times[in_step + 1])
+    impacts["wall"], impacts["foot"], impacts["impulse"] = rows[:, 1], rows[:, 2], rows[:, 3]
+    impacts["before"], impacts["after"] = rows[:, BEFORE : BEFORE + 12], rows[:, AFTER : AFTER + 12]
+    counts = rows[:, HELD_SO_FAR].astype(np.int64)
+    impacts["before"][counts < 0] = impacts["after"][counts < 0] = states[0, in_step[counts < 0] + 1]
+    return Record(
+        scene, dt, 0.0, times[: done + 1], states[0, : done + 1], torques, impacts, in_step, counts, error
+    )  # fmt: skip
+
+
+def stepping_advance(simulator: Simulator) -> Advance:
+    """Simulation by the steps of any simulator from its present state on."""
+
+    def advance(state: Array, time: float, dt: float, steps: int, torques: Array | None) -> Record:
+        recorder = Recorder(simulator.scene, dt, state, time, driven=torques is None)
+        for step in range(steps):
+            try:
+                recorder.add(*simulator.step(dt, None if torques is None else float(torques[step])))
+            except JackLostError as error:
+                return recorder.record(error)
+        return recorder.record()
+
+    return advance
+
+
+class Recorder:
+    """Collects control steps.
+
+    Args:
+        scene: the scene.
+        dt: duration of a step [s].
+        state: at the start, shape (12,), SI units.
+        time: at the start [s].
+        driven: whether the torques are the scene's drive's.
+    """
+
+    def __init__(self, scene: Scene, dt: float, state: Array, time: float, driven: bool = True) -> None:
+        self._scene, self._dt, self._times, self._states, self._driven = scene, dt, [time], [state], driven
+        self._torques, self._impacts, self._steps = list[float](), list[Impact](), list[int]()
+
+    def add(self, state: Array, time: float, torque: float, impacts: Sequence[Impact]) -> None:
+        """Record a step: state and time [s] at its end, its mean torque [N m], its impacts."""
+        self._steps += [len(self._torques)] * len(impacts)
+        self._times.append(time)
+        self._states.append(state)
+        self._torques.append(torque)
+        self._impacts += impacts
+
+    def record(self, failure: Exception | None = None) -> Record:
+        """The steps so far."""
+        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(WithoutStates)
+        steps = np.array(self._steps, np.int64)
+        return Record(
+            self._scene, self._dt, 0.0, np.array(self._times), np.array(self._states),
+            None if self._driven else np.array(self._torques), impacts, steps, np.zeros(len(steps), np.int64), failure,
+        )  # fmt: skip
+
+
+def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Array | None) -> Record:
+    """One record of several, each of which goes on from the one before; ``torques`` are of all steps, or more."""
+    offsets = np.cumsum([0, *(len(part.times) - 1 for part in parts)])
+    return replace(
+        parts[-1], dt=dt, rest=rest, torques=torques,
+        times=np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)]),
+        states=np.concatenate([parts[0].states[:1], *(part.states[1:] for part in parts)]),
+        impacts=np.concatenate([part.impacts for part in parts]).view(type(parts[0].impacts)),
+        steps=np.concatenate([part.steps + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
+        held=np.concatenate([part.held for part in parts]),
+    )  # fmt: skip
+
+
+def run_record(
+    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float], torques: Array | None,
+    event: Event | None = None, progress: bool = False,
+) -> tuple[Record, float]:  # fmt: skip
+    """Advance step by step until the end, an event or a failure; return the record and the time of the event [s]."""
+    whole, rest = steps
+    parts, done, end = list[Record](), 0, None
+    size = whole if event is None and not progress else _CHUNK
+    largest = max(_CHUNK, whole // 100) if progress else whole
+    with bar(whole, progress) as moved:
+        while end is None and (done < whole or (rest > 0.0 and done == whole)):
+            length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
+            part = advance(state, time, length, count, None if torques is None else torques[done : done + count])
+            parts.append(part)
+            state, time, done, size = part.states[-1], float(part.times[-1]), done + count, min(2 * size, largest)
+            moved(count)
+            if event is not None:
+                end = event(part)
+            if part.failure is not None:
+                break
+    record = joined_records(parts, dt, rest if done > whole else 0.0, torques)
+    return record, math.inf if end is None else end
+
+
+def restarted(record: Record, row: int, end: float | None) -> Record:
+    """The record again from the step of the impact of a row: to its last step, or to a time that may be later [s].
+
+    Raises:
+        ValueError: the torques do not last as long.
+        JackLostError: the jack would leave the box, or cannot be followed.
+    """
+    step = int(record.steps[row])
+    start, steps = float(record.times[step]), (len(record.times) - 1 - step - (record.rest > 0.0), record.rest)
+    torques = None if record.torques is None else record.torques[step:]
+    if end is not None:
+        steps = math.ceil((end - start) / record.dt), 0.0
+        if torques is not None and len(torques) < steps[0]:
+            lasts = start + len(torques) * record.dt - float(record.impacts["time"][row])
+            raise ValueError(f"duration must be at most {lasts:g} s, as long as there are torques, got a longer one")
+    again, _ = run_record(exact_advance(record.scene), record.states[step], start, record.dt, steps, torques)
+    if again.failure is not None:
+        raise again.failure
+    return again

@@ -1,0 +1,137 @@
+"""``jackbox_env.simulate``: simulate a scene from a state, to a time or an event."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jackbox_env.model.scene import Chirp, Drive, Scene
+from jackbox_env.model.states import LATEST_TIME, Array, as_restored
+from jackbox_env.recording.events import Event, event_of
+from jackbox_env.recording.motion import Motion
+from jackbox_env.recording.recorder import exact_advance, run_record, stepping_advance
+from jackbox_env.simulators import make_simulator
+from jackbox_env.simulators.base import end_of_step
+from jackbox_env.simulators.fidelity import FIDELITIES, Setting
+from jackbox_env.tools import checks as check
+
+EXACT = "exact"
+MOST_STEPS = 100_000_000
+_NO_STEP = 1e-6  # of dt: a shorter rest of the duration is rounding
+
+
+def simulate(
+    scene: Scene | Mapping[str, Any] | None = None,
+    state: ArrayLike | None = None,
+    duration: float = 10.0,
+    *,
+    torque: float | ArrayLike | Callable[[float], float] | None = None,
+    time: float = 0.0,
+    dt: float = 0.02,
+    fidelity: str = "exact",
+    until: str | int | Callable[[Any], float] | None = None,
+) -> Motion:
+    """Simulate a scene: its states, impacts and energies as one object.
+
+    >>> import jackbox_env
+    >>> motion = jackbox_env.simulate(duration=60.0, until=3)
+    >>> len(motion.impacts), motion.t[-1].round(6).item()
+    (3, 2.747021)
+    >>> fallen = jackbox_env.simulate({"drive": None}, until=lambda state: state.y_jack + 2.0)
+    >>> fallen.t[-1].round(6).item(), fallen.states[-1, 4].round(6).item()  # 2 m below the start
+    (0.638551, -2.0)
+
+    Args:
+        scene: a Scene, a dict of some of its fields, or None for the default scene.
+        state: at the start, 12 numbers, SI units; a foot may be up to 1 m outside. None: all 0, with the jack at rest
+            in the middle.
+        duration: simulated time [s], > 0. If it is no multiple of ``dt``, the last step is shorter.
+        torque: on the box. None: the scene's drive; a number [N m] (0.0: none); a function of the time [s] that
+            returns N m; or one number for each control step. The drive's side forces act in any case.
+        time: at the start [s].
+        dt: duration of a control step [s], > 0. It does not change the exact motion, except that each torque of an
+            array is constant for one step.
+        fidelity: a name of ``FIDELITIES``: "exact", or one of pymunk. With pymunk there are states at the ends of
+            control steps only.
+        until: what ends the motion before ``duration``; "exact" only. "impact"; a number of impacts, > 0; or a
+            function of the :class:`jackbox_env.State` at its next change of sign, also by an impact. The function is
+            sampled at 8 points at least on each flight, so two changes between two points are missed. A foot at rest
+            counts as no impact here.
+
+    Raises:
+        TypeError, ValueError: unusable values.
+        JackLostError: the jack would leave the box, or cannot be followed.
+    """
+    setting, scene = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)], Scene.of(scene)
+    dt = check.real("dt", dt, above=0.0)
+    duration = check.real("duration", duration, above=0.0)
+    event = event_of(until)
+    if event is not None and setting.contact != EXACT:
+        raise ValueError(f"until needs fidelity='exact', got {check.shown(until)} with fidelity={fidelity!r}")
+    torques: Array | None = None
+    if callable(torque):
+        scene = scene.changed(drive=_turned_by(torque, scene.drive))
+    elif torque is not None:
+        torques = _torques(torque, steps_of(duration, dt))
+    motion = recorded(scene, setting, np.zeros(12) if state is None else state, time, duration, dt, torques, event)
+    if motion.failure is not None:
+        raise motion.failure
+    return motion
+
+
+def _turned_by(torque: Callable[[float], float], drive: Chirp | Drive | None) -> Drive:
+    """A drive with this torque, and with the side forces of another."""
+    forces = (drive.force_x, drive.force_y) if isinstance(drive, Drive) else (None, None)
+    return Drive(torque, *forces)
+
+
+def _torques(torque: Any, steps: tuple[int, float]) -> Array:
+    """The torque of each step [N m]; a number is that of any number of steps."""
+    count = steps[0] + (steps[1] > 0.0)
+    requirement = f"be a number, a function of time or one number for each of {count} steps"
+    torques = check.array("torque", torque, requirement).astype(np.float64)
+    if torques.ndim == 0:
+        return np.broadcast_to(check.real("torque", torque), MOST_STEPS + 1)
+    if torques.shape != (count,):
+        raise ValueError(f"torque must {requirement}, got shape {torques.shape}")
+    if not np.isfinite(torques).all():
+        raise ValueError(f"torque must {requirement}, finite ones, got {torques[~np.isfinite(torques)][0]}")
+    return torques
+
+
+def steps_of(duration: float, dt: float) -> tuple[int, float]:
+    """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0.
+
+    Raises:
+        ValueError: there are too many steps.
+    """
+    if duration / dt > MOST_STEPS:
+        raise ValueError(f"duration / dt must be at most {MOST_STEPS:,} steps, got {duration:g} / {dt:g}")
+    whole = math.floor(duration / dt * (1.0 + 1e-12) + _NO_STEP)
+    rest = duration - whole * dt
+    return whole, rest if rest > _NO_STEP * dt else 0.0
+
+
+def recorded(
+    scene: Scene, setting: Setting, state: ArrayLike, time: float, duration: float, dt: float, torques: Array | None,
+    event: Event | None = None, progress: bool = False,
+) -> Motion:  # fmt: skip
+    """:func:`simulate` by any contact model; the jack's loss ends the motion early.
+
+    ``torques`` has one for each step at least [N m], ``progress`` shows a bar. The other arguments of numbers but
+    state and time have been checked.
+    """
+    state, advance = as_restored(scene, state), exact_advance(scene)
+    time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
+    for start in (time, time + max(duration - dt, 0.0)):
+        end_of_step(start, min(dt, duration))
+    if setting.contact != EXACT:
+        simulator = make_simulator(scene, **setting._asdict())
+        simulator.reset(state, time)
+        advance = stepping_advance(simulator)
+    record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
+    return Motion(record, end=end)
