@@ -32,6 +32,7 @@ _NEGLIGIBLE = 0.1  # decrease of the sum of squares, in which an estimate moves 
 _COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
+_BLOCKED = 0.01  # share of a step, below which a window that prevents a decrease blocks the search
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
 
 
@@ -193,11 +194,16 @@ def _triangle(rows: Array) -> Array:
 
 def minimise(
     evaluate: Callable[[Array], Rows | None], unknowns: Array, windows: int, most: int, low: Array, high: Array
-) -> tuple[Array, bool]:
-    """Least squares by Levenberg and Marquardt: the unknowns, fields first, and whether the search ended.
+) -> tuple[Array, bool, Indices]:
+    """Least squares by Levenberg and Marquardt: the unknowns, fields first, whether the search ended, what blocked it.
 
     A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
-    that stalls has not ended: the linear model still predicts a decrease, which no step brings.
+    that stalls has not ended: the linear model still predicts a decrease, which no step brings. It stalls where a
+    window's motion jumps, because two impacts change their order there, or because one leaves the window. However short
+    a step is, the window's squares then increase by more than those of all others decrease. It is returned as blocking.
+
+    Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978). A
+    full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
 
     Args:
         evaluate: the rows of unknowns; None if there are none, so that a shorter step is tried. Not None at the first.
@@ -209,28 +215,46 @@ def minimise(
     rows = evaluate(unknowns)
     assert rows is not None
     damping, count = _FIRST_DAMPING, len(low)
-    step, share = _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
-    longest = share
+
+    def step_from(rows: Rows, unknowns: Array, damping: float) -> tuple[Step, float]:
+        return _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
+
+    def moved_by(unknowns: Array, move: Array) -> tuple[Array, Rows | None, float]:
+        tried = unknowns + move
+        tried[:count] = np.clip(tried[:count], low, high)  # against rounding
+        trial = evaluate(tried)
+        return tried, trial, np.inf if trial is None else float((trial.residuals**2).sum())
+
+    step, share = step_from(rows, unknowns, damping)
+    longest, blocking = share, np.zeros(0, np.intp)
     for _ in range(most):
         square = float((rows.residuals**2).sum())
         moved = share * step.unknowns
-        tried = unknowns + moved
-        tried[:count] = np.clip(tried[:count], low, high)  # against rounding
-        trial = evaluate(tried)
-        decrease = -np.inf if trial is None else square - float((trial.residuals**2).sum())
+        tried, trial, after = moved_by(unknowns, moved)
         expected = share * (2.0 - share) * step.decrease
+        if trial is not None and share == longest and not square - after > 1e-4 * expected:
+            again, further = step_from(trial, tried, damping)
+            moved = moved + further * again.unknowns
+            second = moved_by(tried, further * again.unknowns)
+            if second[2] < after:
+                tried, trial, after = second
+        decrease = square - after
         last = _small(moved, unknowns) or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
         if trial is not None and decrease > 1e-4 * expected:
             unknowns, rows = tried, trial
             damping = max(0.1 * damping, _LEAST_DAMPING) if share == longest else max(_GROWTH * damping, _FIRST_DAMPING)
-            step, share = _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
+            step, share = step_from(rows, unknowns, damping)
             longest = share
         else:
             share *= _SHORTER
-        if last:  # the end, unless the step was small because it was shortened or damped
-            step, _ = _step_within(rows, windows, _FIRST_DAMPING, low - unknowns[:count], high - unknowns[:count])
-            return unknowns, step.decrease < _NEGLIGIBLE or _small(step.unknowns, unknowns)
-    return unknowns, False
+            if trial is not None and share < _BLOCKED:
+                squares = [np.bincount(of.window, of.residuals**2, windows) for of in (rows, trial)]
+                blocking = np.flatnonzero(squares[1] - squares[0] > expected)
+                last = last or len(blocking) > 0
+        if last:  # the end, unless the step was small because it was shortened or damped, or blocked
+            step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
+            return unknowns, step.decrease < _NEGLIGIBLE or _small(step.unknowns, unknowns), blocking
+    return unknowns, False, blocking
 
 
 def _step_within(rows: Rows, windows: int, damping: float, down: Array, up: Array) -> tuple[Step, float]:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Rows, minimise
+from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Indices, Rows, minimise
+from jackbox_env.measure.flights import Flights, Guess, flights_of, guess_of, spikes_of, windows_of
 from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, pushed, rough_noise, state_at
 from jackbox_env.measure.residuals import (
     autocorrelations,
@@ -36,13 +37,15 @@ from jackbox_env.measure.shooting import (
     Shooting,
     Window,
     end_state,
+    followed,
+    motion,
     motions,
     next_start,
     next_window,
     units,
 )
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import STATE_NAMES, THETA_JACK, Array
+from jackbox_env.model.states import STATE_NAMES, THETA_JACK, X_JACK, Y_JACK, Array
 from jackbox_env.tools import checks as check
 
 try:
@@ -56,13 +59,16 @@ _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts wer
 _LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
+_REST_NEAR = 0.1  # half widths, root mean square of a jack at rest from where the model rests
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
+_SURE = 0.25  # relative standard deviation of a guess that replaces the start, at most
 _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
+_PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
-_MOST_DROPPED = 0.04  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
+_MOST_DROPPED = 0.1  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
@@ -118,21 +124,30 @@ class _Search:
 
     def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
         self._progress = progress  # a bar of tqdm
-        self._recordings, self._parameters, self._known_noise = recordings, parameters, known_noise
+        self._parameters, self._known_noise = parameters, known_noise
         self._units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self._units, 1.0))
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
+        self._spikes = [spikes_of(one, parameters.start, self._noise) for one in recordings]
+        self._recordings = [one.without(spikes) for one, spikes in zip(recordings, self._spikes, strict=True)]
         self._observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCK if self._observed.all() else _INCOMPLETE_BLOCK
         self._windows: list[Window] = []
-        self._resting_steps = 0  # in no window because the jack is at rest there
+        self._dropped: list[Window] = []  # explained at first, and left out of the search
+        self._fewest = 0  # windows that stay
         self._numbers = parameters.of(parameters.start)
 
     def fit(self) -> Fit:
         """Cut the recordings into windows, then fit all windows together."""
-        self._cut_first()
-        for number, recording in enumerate(self._recordings[1:], start=1):
-            self._cut(number, state_at(recording))
+        sure, flights = self._guess()
+        for number, recording in enumerate(self._recordings):
+            before = len(self._windows)
+            if sure and flights[number] is not None:
+                self._cut_between(number, *flights[number])
+            if len(self._windows) == before and number:
+                self._cut(number, state_at(recording))
+            elif len(self._windows) == before:
+                self._cut_first()
         if not self._windows:
             reasons = "the scene at the start leads elsewhere, or they are at rest"
             if self._parameters.start.drive is not None and any(one.torques is None for one in self._recordings):
@@ -142,19 +157,55 @@ class _Search:
             raise ValueError(f"recordings must be followed for a while: {reasons}")
         self._progress.reset(total=len(_LINK_SLACKS) + 2)
         self._progress.set_description("fitting")
-        shooting = Shooting(self._recordings, self._parameters, self._windows)
-        self._solve(shooting, _LINK_SLACKS[0])
-        shooting = self._without_misfits(shooting, _LINK_SLACKS[0], len(self._windows))
-        fewest = math.ceil((1.0 - _MOST_DROPPED) * len(self._windows))
+        self._settle(_LINK_SLACKS[0])
+        self._without_misfits(_LINK_SLACKS[0], len(self._windows))
+        self._fewest = math.ceil((1.0 - _MOST_DROPPED) * len(self._windows))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
-            ended = self._solve(shooting, slack)
-            before, shooting = shooting, self._without_misfits(shooting, slack, len(self._windows) - fewest)
-            if shooting is not before:
-                ended = self._solve(shooting, slack)
+            ended = self._settle(slack)
+            if self._without_misfits(slack, len(self._windows) - self._fewest):
+                ended = self._settle(slack)
+            if slack == _LINK_SLACKS[-1] and self._resume():
+                ended = self._settle(slack)
+            shooting = Shooting(self._recordings, self._parameters, self._windows)
             chain = Chain(self._rows(shooting, slack), len(self._windows))
             self._estimate_noise(chain)
             self._progress.update()
         return self._result(chain, ended)
+
+    def _settle(self, slack: float) -> bool:
+        """Optimise all windows, without those that block the search; return whether it ended."""
+        while True:
+            ended, blocking = self._solve(Shooting(self._recordings, self._parameters, self._windows), slack)
+            if ended or not 0 < len(blocking) <= len(self._windows) - self._fewest:
+                return ended
+            self._drop(blocking.tolist())
+
+    def _drop(self, indices: Sequence[int]) -> None:
+        """Leave windows out, for :meth:`_resume`."""
+        _unlink(self._windows, indices)
+        self._dropped += [self._windows[index] for index in indices]
+        self._windows = [window for index, window in enumerate(self._windows) if index not in indices]
+
+    def _resume(self) -> bool:
+        """Take back windows that the model explains from where the ones before end; return whether there are any.
+
+        There the fields and the start are known so well that the order of impacts is, too.
+        """
+        before = {(window.recording, window.last): window for window in self._windows}
+        after = {(window.recording, window.first): window for window in self._windows}
+        count = len(self._windows)
+        for window in sorted(self._dropped, key=lambda one: (one.recording, one.first)):
+            previous, following = (
+                near.get((window.recording, at)) for near, at in ((before, window.first), (after, window.last))
+            )
+            if previous is not None and following is not None:
+                window.start = end_state(self._recordings[window.recording], previous, self._parameters, self._numbers)
+                if self._explained([window]):
+                    previous.linked = window.linked = True
+                    self._windows.append(window)
+        self._windows.sort(key=lambda one: (one.recording, one.first))
+        self._dropped = []
+        return len(self._windows) > count
 
     # -- solving ------------------------------------------------------------------------------------------------------
 
@@ -167,8 +218,11 @@ class _Search:
         assert rows is not None  # the search has evaluated them here
         return rows
 
-    def _solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> bool:
-        """Optimise the windows' starts, and the fields too if they are ``free``; return whether the search ended."""
+    def _solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
+        """Optimise the windows' starts, and the fields too if they are ``free``.
+
+        Returns whether the search ended, and the windows that block it.
+        """
         fixed = np.zeros(0) if free else self._numbers
         first, noise, scaled_slack = shooting.unknowns(self._numbers), self._noise, self._scaled_slack(slack)
 
@@ -179,9 +233,9 @@ class _Search:
             return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
 
         low, high = (bound[len(fixed) :] for bound in (self._parameters.low, self._parameters.high))
-        unknowns, ended = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
+        unknowns, ended, blocking = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
         self._numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
-        return ended
+        return ended, blocking
 
     def _estimate_noise(self, chain: Chain) -> None:
         """Estimate the unknown noise from residuals, with as many degrees of freedom as the unknowns leave."""
@@ -196,19 +250,65 @@ class _Search:
 
     # -- cutting recordings into windows ------------------------------------------------------------------------------
 
+    def _guess(self) -> tuple[bool, list[tuple[Flights, Guess] | None]]:
+        """Set the fields' numbers to those that the impacts determine.
+
+        Returns whether these are all, and the flights of each recording.
+        """
+        scene, found, best = (
+            self._parameters.start,
+            list[tuple[Flights, Guess] | None](),
+            dict[str, tuple[float, float]](),
+        )
+        for recording in self._recordings:
+            flights = flights_of(recording, scene, self._noise)
+            found.append(
+                flights and (flights, guess_of(recording, scene, flights, self._noise, self._parameters.fields))
+            )
+            for name, value in found[-1][1].values.items() if found[-1] else ():
+                best[name] = min(best.get(name, value), value, key=lambda one: one[1])
+        sure = {name: value for name, (value, deviation) in best.items() if deviation < _SURE}
+        self._guessed_width = np.array([3.0 * best.get(name, (0.0, np.inf))[1] for name in self._parameters.fields])
+        known = scene.changed(
+            **{
+                name: min(value, 1.0) if name == "restitution" else value
+                for name, value in sure.items()
+                if name in self._parameters.fields
+            }
+        )
+        self._numbers = np.clip(self._parameters.of(known), self._parameters.low, self._parameters.high)
+        return {*sure} >= {*self._parameters.fields}, found
+
+    def _cut_between(self, number: int, flights: Flights, guess: Guess) -> None:
+        """Cut a recording into windows between the middles of flights, those which the model explains."""
+        recording, numbers = self._recordings[number], self._numbers
+        for window in windows_of(recording, number, self._parameters.scene(numbers), flights, guess):
+            if not followed(window, motion(recording, window, self._parameters, numbers)):
+                continue
+            if not self._explained([window]):
+                mean, width = self._prior([window])
+                width[: len(numbers)], width[len(numbers) :] = self._guessed_width, _PRIOR_FLIGHT_WIDTH
+                near = Shooting(self._recordings, self._parameters, [window], (mean, width))
+                self._solve(near, _LINK_SLACKS[0], most=20)
+            if self._explained([window]):
+                if self._windows and (self._windows[-1].recording, self._windows[-1].last) == (number, window.first):
+                    self._windows[-1].linked = True
+                self._windows.append(window)
+            self._numbers = numbers
+
     def _cut_first(self) -> None:
         """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
-        furthest, best = -1, (self._numbers, self._windows, 0)
+        furthest, best = -1, (self._numbers, self._windows)
         for numbers, state in list(self._first_guesses()):
-            self._numbers, self._windows, self._resting_steps = numbers, [], 0
+            self._numbers, self._windows = numbers, []
             self._progress.reset()
             complete = self._cut(0, state)
             covered = sum(window.last - window.first for window in self._windows)
             if covered > furthest:
-                furthest, best = covered, (self._numbers, self._windows, self._resting_steps)
+                furthest, best = covered, (self._numbers, self._windows)
             if complete:
                 break
-        self._numbers, self._windows, self._resting_steps = best
+        self._numbers, self._windows = best
 
     def _first_guesses(self) -> Iterator[tuple[Array, Array]]:
         """Guesses of the fields' numbers and of the first state."""
@@ -230,7 +330,6 @@ class _Search:
             if window is None:  # at rest
                 pause = max(1, round(_REST_SKIPPED / recording.dt))
                 window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
-                self._resting_steps += window.last - first
                 end, first, linked = end_state(recording, window, self._parameters, self._numbers), window.last, False
                 continue
             if linked:
@@ -277,7 +376,14 @@ class _Search:
         if block.rows(block.unknowns(self._numbers), self._noise, 1.0) is None:
             return False
         self._solve(block, _LINK_SLACKS[0], free=free, most=20)
-        rows = self._rows(block, _LINK_SLACKS[0])
+        return self._explained(windows)
+
+    def _explained(self, windows: list[Window]) -> bool:
+        """Whether the last of these windows fits within the noise, as it is."""
+        block = Shooting(self._recordings, self._parameters, windows)
+        rows = block.rows(block.unknowns(self._numbers), self._noise, 1.0)
+        if rows is None:
+            return False
         of_last = (rows.window == len(windows) - 1) & (rows.column >= 0)
         if not of_last.any():
             return True
@@ -291,14 +397,14 @@ class _Search:
         width[:count], width[count + THETA_JACK] = _PRIOR_WIDTH, _PRIOR_WIDTH
         return mean, width
 
-    def _without_misfits(self, shooting: Shooting, slack: float, most: int) -> Shooting:
-        """Drop the windows that a fit does not explain, if they are ``most`` at most."""
-        misfits = misfitting(self._rows(shooting, slack), len(self._windows))
-        if not 0 < misfits.sum() <= most:
-            return shooting
-        _unlink(self._windows, np.flatnonzero(misfits).tolist())
-        self._windows = [window for window, out in zip(self._windows, misfits, strict=True) if not out]
-        return Shooting(self._recordings, self._parameters, self._windows)
+    def _without_misfits(self, slack: float, most: int) -> bool:
+        """Drop the windows that a fit does not explain, if they are ``most`` at most; return whether it did."""
+        shooting = Shooting(self._recordings, self._parameters, self._windows)
+        misfits = np.flatnonzero(misfitting(self._rows(shooting, slack), len(self._windows))).tolist()
+        if not 0 < len(misfits) <= most:
+            return False
+        self._drop(misfits)
+        return True
 
     # -- the result ---------------------------------------------------------------------------------------------------
 
@@ -356,11 +462,9 @@ class _Search:
         if away > _MOST_CONTRADICTED:
             wrong = f"{name}, or something else that is not fitted, is wrong"
             yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
-        skipped = left_out - self._resting_steps
+        skipped = left_out - self._resting_steps()
         if skipped > _MOST_SKIPPED * covered:
             yield f"{skipped} steps could not be followed"
-        elif left_out > covered:
-            yield f"the motion was followed for {covered} steps only, and taken for rest in {left_out}"
         if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
             yield "windows that were held out do not fit within the noise"
 
@@ -379,6 +483,23 @@ class _Search:
         moves = abs(Chain(together, len(self._windows)).moves(rows.fields))
         furthest = int(np.argmax(moves))
         return parameters.fields[furthest], float(moves[furthest])
+
+    def _resting_steps(self) -> int:
+        """Steps in no window, in which the model rests or its bounces pile up, near where the jack was observed."""
+        total, windows = 0, self._windows
+        for index, window in enumerate(windows):
+            recording, end = self._recordings[window.recording], len(self._recordings[window.recording].states) - 1
+            if index + 1 < len(windows) and windows[index + 1].recording == window.recording:
+                end = windows[index + 1].first
+            if end > window.last:
+                start = end_state(recording, window, self._parameters, self._numbers)
+                pause = Window(window.recording, window.last, end, start=start)
+                modelled = motion(recording, pause, self._parameters, self._numbers)
+                if modelled is not None and not followed(pause, modelled):
+                    off = (modelled.states - recording.states[pause.first : end + 1])[:, X_JACK : Y_JACK + 1]
+                    near = np.nanmean(off**2) if np.isfinite(off).any() else 0.0
+                    total += (end - pause.first) * (near < (_REST_NEAR * self._units[X_JACK]) ** 2)
+        return total
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""

@@ -6,7 +6,7 @@ without any model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jackbox_env.measure.columns import evened
 from jackbox_env.measure.tables import Table, stored_scene, table_of
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, Array
+from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, VX_JACK, X_JACK, Array
 from jackbox_env.tools import checks as check
 
 SHORTEST = 1e-9  # [s] between states
@@ -122,6 +122,13 @@ class Recording:
             raise ValueError(f"{table.source.removesuffix(', ')}: {error}" if table.source else str(error)) from error
         recording.notes = notes
         return recording
+
+    def without(self, rows: Collection[int]) -> Recording:
+        """This recording, but nothing of the jack observed in some rows."""
+        states = self.states.copy()
+        states[list(rows), X_JACK:RATES] = np.nan
+        states[list(rows), VX_JACK:] = np.nan
+        return Recording(states, self.torques, self.dt, self.time, self.impacts)
 
 
 def _finite(name: str, values: Any) -> Array:

@@ -164,6 +164,12 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     return None if played is None else played[0]
 
 
+def followed(window: Window, modelled: Motion | None) -> bool:
+    """Whether a window has derivatives to its end, and no bounces that pile up."""
+    steps = window.last - window.first
+    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= _MOST_IMPACTS
+
+
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
     """Match times of heard impacts with the model's, each at most once and in order: indices into both."""
     pairs, last = [], -1

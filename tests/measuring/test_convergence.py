@@ -40,7 +40,7 @@ def test_a_stall_is_no_end() -> None:
         residuals = np.concatenate([[1.0 + abs(unknowns[0])], unknowns[1:]])
         return Rows(residuals, jacobian, np.zeros(13, np.intp), np.zeros(13, np.intp))
 
-    unknowns, ended = minimise(evaluate, np.zeros(13), 1, 60, np.array([-9.0]), np.array([9.0]))
+    unknowns, ended, _ = minimise(evaluate, np.zeros(13), 1, 60, np.array([-9.0]), np.array([9.0]))
     np.testing.assert_allclose(unknowns, 0.0, atol=1e-9)
     assert not ended
 
@@ -55,7 +55,7 @@ def test_a_search_ends_at_a_bound_with_the_others_at_their_best() -> None:
         return Rows(residuals, jacobian, np.zeros(14, np.intp), np.zeros(14, np.intp))
 
     low, high = np.array([-9.0, -9.0]), np.array([1.0, 9.0])
-    unknowns, ended = minimise(evaluate, np.zeros(14), 1, 60, low, high)
+    unknowns, ended, _ = minimise(evaluate, np.zeros(14), 1, 60, low, high)
     assert ended
     np.testing.assert_allclose(unknowns[:2], 1.0, rtol=1e-9)
 

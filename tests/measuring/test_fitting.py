@@ -241,7 +241,7 @@ def test_a_search_goes_around_where_nothing_can_be_followed_and_says_whether_it_
 
     first = np.concatenate([[-1.2, 1.0], np.ones(12)])
     bounds = np.full(2, -np.inf), np.full(2, np.inf)
-    unknowns, ended = minimise(evaluate, first, 1, 200, *bounds)
+    unknowns, ended, _ = minimise(evaluate, first, 1, 200, *bounds)
     assert ended
     np.testing.assert_allclose(unknowns, np.append([1.0, 1.0], np.zeros(12)), atol=1e-6)
     assert not minimise(evaluate, first, 1, 3, *bounds)[1]

@@ -1,7 +1,8 @@
-"""Recordings as people make them: boxes of 8 cm to 6 m, cameras of 30 to 240 frames a second, masses that nobody knows.
+"""Recordings as people make them: boxes of 8 cm to 6 m, cameras of 30 to 240 frames a second, masses nobody knows.
 
-The start of a fit has the masses wrong by up to a factor of 4, and restitution 1. Up to 2 % of the rows are bad: a tracker
-lost the jack, or found something else. The recordings with ``verdict`` are others, drawn before anything was tuned.
+The start of a fit has the masses wrong by up to a factor of 4, and restitution 1. Up to 2 % of the rows are bad: a
+tracker lost the jack, or found something else. The recordings with ``verdict`` are others, drawn before anything was
+tuned.
 """
 
 from __future__ import annotations

@@ -1,0 +1,324 @@
+"""What recordings determine without a search: flights, the impacts between them, and a guess of the fields.
+
+Between impacts the jack flies on a parabola with constant spin. So its numbers, with the fall added, are broken lines in
+time. Pieces of two rows are merged while one line fits both within the noise (bottom-up segmentation; Keogh et al. 2001,
+"An Online Algorithm for Segmenting Time Series").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from jackbox_env.measure.chain import Indices
+from jackbox_env.measure.recordings import Recording
+from jackbox_env.measure.shooting import Window
+from jackbox_env.model.mechanics import contacts_of
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import (
+    RATES,
+    THETA_BOX,
+    THETA_JACK,
+    VX_BOX,
+    VX_JACK,
+    VY_BOX,
+    VY_JACK,
+    X_BOX,
+    X_JACK,
+    Y_BOX,
+    Y_JACK,
+    Array,
+)
+
+_MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
+_JACK = slice(X_JACK, RATES)
+LEAST_ROWS = 4  # of a flight that is used
+_SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
+_LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
+_FEW = 2  # impacts, fewer of which give no ratio
+_CLOSE = 4  # rows from a flight's end to the next one's begin, at most
+_STRAIGHT = 0.98  # cosine of the angle between a wall's normal and the change of velocity, at least
+
+
+class Flights(NamedTuple):
+    """Flights of a recording, and lines through the jack's numbers, and the box's, with fall and torque taken off."""
+
+    first: Indices  # row, shape (n,)
+    last: Indices  # row, in the flight
+    lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
+    scatter: Array  # standard deviations of these lines at the middle of a flight and of their slopes, (n, 2)
+
+
+def falls(recording: Recording, scene: Scene) -> Array:
+    """What is added to the six positions so that they are straight between impacts, (H + 1, 6)."""
+    times, added = np.arange(len(recording.states)) * recording.dt, np.zeros((len(recording.states), RATES))
+    added[:, Y_JACK] = 0.5 * scene.gravity * times**2
+    torques = recording.torques
+    if torques is None and scene.drive is not None:
+        begins = recording.time + times[:-1]
+        torques = np.array([0.5 * sum(scene.drive.torque_means(begin, recording.dt)) for begin in begins.tolist()])
+    if torques is not None:
+        rates = np.append(0.0, np.cumsum(torques)) * recording.dt / scene.box_inertia
+        added[1:, THETA_BOX] = -np.cumsum(0.5 * (rates[1:] + rates[:-1])) * recording.dt
+    return added
+
+
+def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | None:
+    """The flights of a recording; None if the jack's three numbers were not observed together often enough."""
+    straight = recording.states[:, :RATES] + falls(recording, scene)
+    rows = np.flatnonzero(np.isfinite(straight[:, _JACK]).all(axis=1))
+    if len(rows) < 0.5 * len(straight) or len(rows) < 2 * LEAST_ROWS:
+        return None
+    times = rows * recording.dt
+    first = _merged(times, straight[rows, _JACK] / noise[_JACK])
+    ends = np.append(first[1:], len(rows))
+    enough = ends - first >= LEAST_ROWS
+    first, ends = first[enough], ends[enough]
+    lines, scatter = np.full((len(first), RATES, 2), np.nan), np.zeros((len(first), 2))
+    for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
+        within = slice(begin, end)
+        off = times[within] - times[within].mean()
+        scatter[index] = 1.0 / np.sqrt(end - begin), 1.0 / np.sqrt((off**2).sum())
+        for column in range(RATES):
+            values = straight[rows[within], column]
+            known = np.isfinite(values)
+            if known.sum() >= LEAST_ROWS:
+                slope, value = np.polyfit(off[known], values[known], 1)
+                lines[index, column] = value - slope * times[within].mean(), slope
+    return Flights(rows[first], rows[ends - 1], lines, scatter)
+
+
+def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Array]:
+    """Rows in which the jack is off every line through two of the rows around, and by how much in each number.
+
+    Not where that is usual: a jack that rests in a box that turns is on no line.
+    """
+    straight = recording.states[:, _JACK] + falls(recording, scene)[:, _JACK]
+    rows, found = np.flatnonzero(np.isfinite(straight).all(axis=1)), dict[int, Array]()
+    while len(rows) > _SPIKE_ROWS:
+        values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
+        off = least.copy()
+        for one, other in ((-2, -1), (-1, 1), (1, 2)):
+            at = np.arange(max(0, -one), len(rows) - max(0, other))
+            share = ((rows[at] - rows[at + one]) / (rows[at + other] - rows[at + one]))[:, None]
+            between = values[at] - values[at + one] * (1.0 - share) - values[at + other] * share
+            nearer = abs(between) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+            off[at] = np.where(nearer < least[at], between, off[at])
+            least[at] = np.minimum(least[at], nearer)
+        score = least.max(axis=1)
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(score, _SPIKE_ROWS // 2, mode="reflect"), _SPIKE_ROWS)
+        peaks = (score > _SPIKE * np.maximum(1.0, np.median(around, axis=1))) & (score >= around[:, 2:5].max(axis=1))
+        if not peaks.any():
+            break
+        found.update(zip(rows[peaks].tolist(), off[peaks] * noise[_JACK], strict=True))
+        rows = rows[~peaks]
+    return found
+
+
+def _merged(times: Any, values: Array) -> Indices:
+    """Where the straight pieces of values of noise 1 begin, shape (pieces,)."""
+    first = np.arange(0, len(times), 2)
+    products = np.column_stack([np.ones(len(times)), times, times**2, values, values * times[:, None], values**2])
+    sums = np.add.reduceat(products, first, axis=0)
+    while len(sums) > 1:
+        both = sums[:-1] + sums[1:]
+        alone = _squares(sums)
+        increase = _squares(both) - alone[:-1] - alone[1:]
+        less = np.minimum(np.append(np.inf, increase[:-1]), np.append(increase[1:], np.inf))
+        merged = np.flatnonzero((increase <= _MERGED) & (increase < less))
+        if not len(merged):
+            break
+        sums[merged] = both[merged]
+        sums, first = np.delete(sums, merged + 1, axis=0), np.delete(first, merged + 1)
+    return first
+
+
+def _squares(sums: Array) -> Array:
+    """Sums of squares about the best lines, from sums of products."""
+    count, time, square = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
+    value, moment, values = np.split(sums[:, 3:], 3, axis=1)
+    spread = np.maximum(square - time**2 / count, 1e-300)
+    lines = value**2 / count + (moment - value * time / count) ** 2 / spread
+    result: Array = (values - lines).sum(axis=1)
+    return result
+
+
+class Impacts(NamedTuple):
+    """Impacts between neighbouring flights: when, of what, and the motion before and after."""
+
+    times: Array  # since the recording's begin [s], (n,)
+    straight: Array  # the jack's place with the fall added, and its rates before and after, (n, 3, 2)
+    states: Array  # before and after, (n, 2, 12); the box's centre NaN if unobserved
+    walls: Indices
+    feet: Indices
+
+
+def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Impacts:
+    """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity."""
+    near = np.flatnonzero(flights.first[1:] - flights.last[:-1] <= _CLOSE)
+    before, after, dt = flights.lines[near], flights.lines[near + 1], recording.dt
+    change = (after - before)[:, _JACK] / noise[_JACK, None]
+    times = -(change[:, :, 0] * change[:, :, 1]).sum(axis=1) / np.maximum((change[:, :, 1] ** 2).sum(axis=1), 1e-300)
+    late = np.maximum((flights.last[near] - 1) * dt - times, times - (flights.first[near + 1] + 1) * dt)
+    places = before[:, :, 0] + before[:, :, 1] * times[:, None]
+    states = np.stack([state_on(recording, scene, lines, times) for lines in (before, after)], axis=1)
+    kick = states[:, 1, VX_JACK : VY_JACK + 1] - states[:, 0, VX_JACK : VY_JACK + 1]
+    walls, feet = np.divmod(np.arange(16), 4)
+    centred = np.repeat(states[:, 0], 16, axis=0)
+    centred[:, X_BOX : Y_BOX + 1] = centred[:, X_JACK : Y_JACK + 1]
+    gaps, gradients = contacts_of(scene, centred, np.tile(walls, len(near)), np.tile(feet, len(near)))
+    along = np.einsum("nwi,ni->nw", gradients.reshape(-1, 16, 6)[:, :, X_JACK : Y_JACK + 1], kick)
+    struck = (along / np.linalg.norm(kick, axis=1)[:, None]).round(6) * 1e6 - gaps.reshape(-1, 16) / scene.jack_arm
+    contact = struck.argmax(axis=1)  # the wall by its normal, then the foot that is deepest
+    usable = (late < 0.0) & (along.max(axis=1) > _STRAIGHT * np.linalg.norm(kick, axis=1))
+    straight = np.stack([places, before[:, :, 1], after[:, :, 1]], axis=1)[:, :, X_JACK : Y_JACK + 1]
+    return Impacts(*(part[usable] for part in (times, straight, states, walls[contact], feet[contact])))
+
+
+def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Array:
+    """States on lines, (n, 6, 2), at times since the recording's begin [s], (n, 12)."""
+    added, rows = falls(recording, scene), np.arange(len(recording.states)) * recording.dt
+    both = np.concatenate([added, np.gradient(added, recording.dt, axis=0)], axis=1)
+    taken = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
+    return np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - taken
+
+
+class Guess(NamedTuple):
+    """Fields and the box's centre, from the impacts of a recording."""
+
+    values: dict[str, tuple[float, float]]  # of fields, and their relative standard deviations
+    centre: Array  # at the recording's begin, of the box and the jack together, over the box's mass [m], (2,)
+    drift: Array  # its rate, (2,)
+    ratio: float  # jack_mass / box_mass
+
+    def with_centre(self, state: Array, straight: Array, rates: Array, times: Any) -> Array:
+        """States with the box's centre, from the jack's place with the fall added."""
+        state[..., X_BOX : Y_BOX + 1] = self.centre + np.multiply.outer(times, self.drift) - self.ratio * straight
+        state[..., VX_BOX : VY_BOX + 1] = self.drift - self.ratio * rates
+        return state
+
+
+def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array, fields: Sequence[str]) -> Guess:
+    """A guess of fields by robust regressions over the impacts.
+
+    Nothing but the jack pushes the box's centre, so that of both masses moves straight, with the fall added. At an
+    impact a foot is at a wall. Both are linear in that centre's motion, the ratio of the masses and the lengths.
+    """
+    impacts = impacts_of(recording, scene, flights, noise)
+    origin = impacts.states[:, 0].copy()
+    origin[:, X_BOX : Y_BOX + 1] = 0.0
+    gaps, gradients = contacts_of(scene, origin, impacts.walls, impacts.feet)
+    normals, place = gradients[:, :2], impacts.straight[:, 0]
+    beyond = scene.box_half_width - gaps - (normals * origin[:, X_JACK : Y_JACK + 1]).sum(axis=1)  # of the foot
+    lengths = [name for name in ("jack_arm", "box_half_width") if name in fields]
+    by_length = {"jack_arm": beyond / scene.jack_arm, "box_half_width": np.full(len(gaps), -1.0)}
+    equations = [normals, normals * impacts.times[:, None], -(normals * place).sum(axis=1)[:, None]]
+    equations += [-by_length[name][:, None] for name in lengths]
+    scale = float(np.hypot(noise[X_JACK], scene.jack_arm * noise[THETA_JACK]))
+    rows, known = [np.concatenate(equations, axis=1) / scale], [-gaps / scale]
+    middle = 0.5 * (flights.first + flights.last) * recording.dt
+    at = flights.lines[:, :, 0] + flights.lines[:, :, 1] * middle[:, None]
+    for axis in range(2):
+        seen = np.isfinite(at[:, axis])
+        block = np.zeros((int(seen.sum()), rows[0].shape[1]))
+        block[:, axis], block[:, 2 + axis], block[:, 4] = 1.0, middle[seen], -at[seen, X_JACK + axis]
+        deviations = noise[axis] * flights.scatter[seen, :1]
+        rows.append(block / deviations)
+        known.append(at[seen, axis] / deviations[:, 0])
+    size, ratio = scene.box_half_width, scene.jack_mass / scene.box_mass
+    begin = np.nanmedian(at[:, X_JACK : Y_JACK + 1], axis=0)
+    prior = np.concatenate([begin, np.zeros(2), [ratio], np.zeros(len(lengths))])
+    widths = np.concatenate(
+        [[9.0 * size] * 2, [9.0 * scene.speed_scale] * 2, [2.0 * ratio], [0.3 * size] * len(lengths)]
+    )
+    rows.append(np.diag(1.0 / widths))
+    known.append(prior / widths)
+    solved, deviations = _robust(np.concatenate(rows), np.concatenate(known))
+    ratio = float(max(solved[4], 1e-9))
+    guess = Guess({}, solved[:2], solved[2:4], ratio)
+    states = guess.with_centre(
+        impacts.states, place[:, None], impacts.straight[:, 1:], np.column_stack([impacts.times] * 2)
+    )
+    for name, by, deviation in zip(lengths, solved[5:], deviations[5:], strict=True):
+        value = getattr(scene, name) + float(by)
+        guess.values[name] = value, float(deviation) / value
+    gradients = contacts_of(scene, states[:, 0], impacts.walls, impacts.feet)[1]
+    before, after = np.einsum("ni,nki->kn", gradients, states[:, :, RATES:])
+    change = states[:, 1, RATES:] - states[:, 0, RATES:]
+    kick = (gradients * change)[:, X_JACK : Y_JACK + 1].sum(axis=1)  # impulse over the jack's mass
+    guess.values["restitution"] = _usual_ratio(-after, before)
+    by_jack = _usual_ratio(change[:, THETA_JACK], gradients[:, THETA_JACK] * kick)  # jack_mass / jack_inertia
+    by_box = _usual_ratio(change[:, THETA_BOX], gradients[:, THETA_BOX] * kick)
+    ratios = {"jack_mass": (ratio, float(deviations[4]) / ratio)}
+    guess.values.update(_masses(scene, fields, ratios["jack_mass"], by_box, by_jack))
+    return guess
+
+
+def windows_of(recording: Recording, number: int, scene: Scene, flights: Flights, guess: Guess) -> list[Window]:
+    """Windows from the middle of each flight to that of the next, with starts on the flights' lines."""
+    lasting = np.flatnonzero((flights.last - flights.first) * recording.dt >= _LASTING)
+    steps = (flights.first + flights.last)[lasting] // 2
+    if len(steps) == 0:
+        return []
+    steps[0] = flights.first[lasting[0]]
+    times, lines = steps * recording.dt, flights.lines[lasting]
+    states = state_on(recording, scene, lines, times)
+    straight = lines[:, X_JACK : Y_JACK + 1]
+    states = guess.with_centre(states, straight[:, :, 0] + straight[:, :, 1] * times[:, None], straight[:, :, 1], times)
+    ends = np.append(steps[1:], flights.last[lasting[-1]])
+    return [
+        Window(number, first, last, start=state)
+        for first, last, state in zip(steps.tolist(), ends.tolist(), states, strict=True)
+        if last > first
+    ]
+
+
+def _masses(
+    scene: Scene, fields: Sequence[str], ratio: tuple[float, float], by_box: tuple[float, float],
+    by_jack: tuple[float, float],
+) -> dict[str, tuple[float, float]]:  # fmt: skip
+    """Masses and inertias from ratios and their relative deviations: of the masses, to box_inertia, to jack_inertia."""
+    values = dict[str, tuple[float, float]]()
+    mass = scene.jack_mass
+    if "jack_mass" in fields:
+        routes = (ratio[0] * scene.box_mass, ratio[1]), (by_box[0] * scene.box_inertia, by_box[1])
+        values["jack_mass"] = min(routes, key=lambda route: route[1])
+        mass = values["jack_mass"][0]
+    elif "box_mass" in fields:
+        values["box_mass"] = mass / ratio[0], ratio[1]
+    if "jack_inertia" in fields:
+        values["jack_inertia"] = mass / by_jack[0], by_jack[1]
+    return values
+
+
+def _robust(rows: Array, known: Array) -> tuple[Array, Array]:
+    """Solution of rows @ x = known, noise about 1, and its standard deviations."""
+    sizes = np.linalg.norm(rows, axis=0)
+    scaled = rows / sizes
+    first = np.linalg.lstsq(scaled, known, rcond=None)[0]
+    found = least_squares(lambda x: scaled @ x - known, first, jac=lambda _: scaled, loss="soft_l1", f_scale=2.0)
+    noise = 2.0 * found.cost / max(1, len(known) - len(sizes))
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, noise)
+    return found.x / sizes, np.sqrt(np.diag(covariance)) / sizes
+
+
+def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:
+    """Median of values / by, weighted by ``by``, and its relative standard deviation; (1, inf) without any."""
+    usable = np.isfinite(values) & (abs(by) > 0.0)
+    if usable.sum() < _FEW:
+        return 1.0, np.inf
+    ratios, weights = values[usable] / by[usable], abs(by[usable])
+
+    def median(numbers: Array) -> float:
+        order = np.argsort(numbers)
+        sums = np.cumsum(weights[order])
+        return float(numbers[order][np.searchsorted(sums, 0.5 * sums[-1])])
+
+    ratio = median(ratios)
+    if ratio <= 0.0:
+        return 1.0, np.inf
+    spread = np.quantile(abs(ratios - ratio), min(1.0, 0.6 + 1.0 / len(ratios)))
+    return ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))
