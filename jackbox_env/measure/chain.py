@@ -32,6 +32,7 @@ _NEGLIGIBLE = 0.1  # decrease of the sum of squares, in which an estimate moves 
 _COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
+_BLOCKING = 0.2  # of the largest excess over prediction, more of which blocks, too
 _BLOCKED = 0.01  # share of a step, below which a window that prevents a decrease blocks the search
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
 
@@ -56,6 +57,7 @@ class Step(NamedTuple):
     fields: Array  # (F,)
     starts: Array  # (windows, 12)
     decrease: float  # of the sum of squares, predicted
+    change: Array  # of the residuals, predicted, (rows,)
 
     @property
     def unknowns(self) -> Array:
@@ -95,8 +97,9 @@ class Chain:
         every, start = np.empty((self.windows, WIDTH)), np.zeros(WIDTH)
         for index, eliminated in enumerate(starts):
             start = every[index] = eliminated.by @ np.concatenate([start, step, [1.0]])
-        after = self.rows.residuals + self._times(step, every)
-        return Step(step, every, float((self.rows.residuals**2).sum() - (after**2).sum()))
+        change = self._times(step, every)
+        after = self.rows.residuals + change
+        return Step(step, every, float((self.rows.residuals**2).sum() - (after**2).sum()), change)
 
     def information(self) -> Array:
         """Triangle R of the fields' inverse covariance R^T R, which the starts are free for, (k, F)."""
@@ -199,11 +202,11 @@ def minimise(
 
     A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
     that stalls has not ended: the linear model still predicts a decrease, which no step brings. It stalls where a
-    window's motion jumps, because two impacts change their order there, or because one leaves the window. However short
-    a step is, the window's squares then increase by more than those of all others decrease. It is returned as blocking.
+    window's motion jumps or has a kink, because two impacts change their order there, or because one leaves the window.
+    However short a step is, the window's squares are then more than predicted. It is returned as blocking.
 
-    Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978). A
-    full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
+    Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978).
+    A full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
 
     Args:
         evaluate: the rows of unknowns; None if there are none, so that a shorter step is tried. Not None at the first.
@@ -233,7 +236,7 @@ def minimise(
         tried, trial, after = moved_by(unknowns, moved)
         expected = share * (2.0 - share) * step.decrease
         if trial is not None and share == longest and not square - after > 1e-4 * expected:
-            again, further = step_from(trial, tried, damping)
+            again, further = step_from(trial, tried, _LEAST_DAMPING)
             moved = moved + further * again.unknowns
             second = moved_by(tried, further * again.unknowns)
             if second[2] < after:
@@ -248,9 +251,9 @@ def minimise(
         else:
             share *= _SHORTER
             if trial is not None and share < _BLOCKED:
-                squares = [np.bincount(of.window, of.residuals**2, windows) for of in (rows, trial)]
-                blocking = np.flatnonzero(squares[1] - squares[0] > expected)
-                last = last or len(blocking) > 0
+                more = trial.residuals**2 - (rows.residuals + share / _SHORTER * step.change) ** 2
+                excess = np.bincount(rows.window, more, windows)
+                blocking, last = np.flatnonzero(excess > _BLOCKING * excess.max()), True
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
             step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
             return unknowns, step.decrease < _NEGLIGIBLE or _small(step.unknowns, unknowns), blocking

@@ -45,7 +45,7 @@ from jackbox_env.measure.shooting import (
     units,
 )
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import STATE_NAMES, THETA_JACK, X_JACK, Y_JACK, Array
+from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, THETA_JACK, X_JACK, Y_JACK, Array
 from jackbox_env.tools import checks as check
 
 try:
@@ -59,15 +59,18 @@ _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts wer
 _LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
-_REST_NEAR = 0.1  # half widths, root mean square of a jack at rest from where the model rests
+_REST_CHECKED = 1.0  # [s] of such a stretch; later errors have grown through many bounces
+_REST_NEAR = 0.03  # half widths, root mean square of a jack at rest from where the model rests
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
+_FAR, _MOST_BAD = 6.0, 0.05  # standard deviations of a row that is bad, and the share of such rows
 _SURE = 0.25  # relative standard deviation of a guess that replaces the start, at most
 _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
+_MOST_SETTLED = 12  # searches with one slack
 _MOST_DROPPED = 0.1  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
@@ -128,8 +131,8 @@ class _Search:
         self._units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self._units, 1.0))
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
-        self._spikes = [spikes_of(one, parameters.start, self._noise) for one in recordings]
-        self._recordings = [one.without(spikes) for one, spikes in zip(recordings, self._spikes, strict=True)]
+        self._bad_rows = [spikes_of(one, parameters.start, self._noise) for one in recordings]
+        self._recordings = [one.without(rows) for one, rows in zip(recordings, self._bad_rows, strict=True)]
         self._observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCK if self._observed.all() else _INCOMPLETE_BLOCK
         self._windows: list[Window] = []
@@ -141,9 +144,9 @@ class _Search:
         """Cut the recordings into windows, then fit all windows together."""
         sure, flights = self._guess()
         for number, recording in enumerate(self._recordings):
-            before = len(self._windows)
-            if sure and flights[number] is not None:
-                self._cut_between(number, *flights[number])
+            before, cut = len(self._windows), flights[number]
+            if sure and cut is not None:
+                self._cut_between(number, *cut)
             if len(self._windows) == before and number:
                 self._cut(number, state_at(recording))
             elif len(self._windows) == before:
@@ -158,6 +161,7 @@ class _Search:
         self._progress.reset(total=len(_LINK_SLACKS) + 2)
         self._progress.set_description("fitting")
         self._settle(_LINK_SLACKS[0])
+        self._leave_out_bad_rows()
         self._without_misfits(_LINK_SLACKS[0], len(self._windows))
         self._fewest = math.ceil((1.0 - _MOST_DROPPED) * len(self._windows))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
@@ -174,11 +178,21 @@ class _Search:
 
     def _settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
-        while True:
+        for _ in range(_MOST_SETTLED):
             ended, blocking = self._solve(Shooting(self._recordings, self._parameters, self._windows), slack)
             if ended or not 0 < len(blocking) <= len(self._windows) - self._fewest:
-                return ended
+                break
             self._drop(blocking.tolist())
+        return ended
+
+    def _leave_out_bad_rows(self) -> None:
+        """Leave out rows in which the jack is far off the fitted motion, if they are few."""
+        for number, states in enumerate(self._motions()[0]):
+            off = (self._recordings[number].states - states)[:, X_JACK:RATES]
+            far = np.flatnonzero((abs(off) > _FAR * self._noise[X_JACK:RATES]).any(axis=1)).tolist()
+            if len(far) + len(self._bad_rows[number]) <= _MOST_BAD * len(states):
+                self._bad_rows[number].update((row, off[row]) for row in far)
+                self._recordings[number] = self._recordings[number].without(far)
 
     def _drop(self, indices: Sequence[int]) -> None:
         """Leave windows out, for :meth:`_resume`."""
@@ -432,6 +446,7 @@ class _Search:
             states,
             left_out,
             tuple(self._problems(ended, rows, autocorrelations(rows, projections), residuals, left_out, covered)),
+            tuple(self._bad_row_sentences()),
         )
 
     def _problems(
@@ -462,6 +477,9 @@ class _Search:
         if away > _MOST_CONTRADICTED:
             wrong = f"{name}, or something else that is not fitted, is wrong"
             yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
+        for rows_of, one in zip(self._bad_rows, self._recordings, strict=True):
+            if len(rows_of) > _MOST_BAD * len(one.states):
+                yield f"{len(rows_of)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
         skipped = left_out - self._resting_steps()
         if skipped > _MOST_SKIPPED * covered:
             yield f"{skipped} steps could not be followed"
@@ -484,8 +502,17 @@ class _Search:
         furthest = int(np.argmax(moves))
         return parameters.fields[furthest], float(moves[furthest])
 
+    def _bad_row_sentences(self) -> Iterator[str]:
+        """The rows that were left out, and how far the jack is off there."""
+        for number, rows in enumerate(self._bad_rows):
+            recording = f" of recording {number}" * (len(self._bad_rows) > 1)
+            for row, off in sorted(rows.items()):
+                column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
+                away = f"{abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]}"
+                yield f"row {row}{recording}: {STATE_NAMES[column]} is {away} off"
+
     def _resting_steps(self) -> int:
-        """Steps in no window, in which the model rests or its bounces pile up, near where the jack was observed."""
+        """Steps in no window, in which the model rests or its bounces pile up, at first near the observed jack."""
         total, windows = 0, self._windows
         for index, window in enumerate(windows):
             recording, end = self._recordings[window.recording], len(self._recordings[window.recording].states) - 1
@@ -497,6 +524,7 @@ class _Search:
                 modelled = motion(recording, pause, self._parameters, self._numbers)
                 if modelled is not None and not followed(pause, modelled):
                     off = (modelled.states - recording.states[pause.first : end + 1])[:, X_JACK : Y_JACK + 1]
+                    off = off[: math.ceil(_REST_CHECKED / recording.dt)]
                     near = np.nanmean(off**2) if np.isfinite(off).any() else 0.0
                     total += (end - pause.first) * (near < (_REST_NEAR * self._units[X_JACK]) ** 2)
         return total

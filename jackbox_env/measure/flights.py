@@ -1,8 +1,8 @@
 """What recordings determine without a search: flights, the impacts between them, and a guess of the fields.
 
-Between impacts the jack flies on a parabola with constant spin. So its numbers, with the fall added, are broken lines in
-time. Pieces of two rows are merged while one line fits both within the noise (bottom-up segmentation; Keogh et al. 2001,
-"An Online Algorithm for Segmenting Time Series").
+Between impacts the jack flies on a parabola with constant spin. So its numbers, with the fall added, are broken lines
+in time. Pieces of two rows are merged while one line fits both within the noise (bottom-up segmentation; Keogh et al.
+2001, "An Online Algorithm for Segmenting Time Series").
 """
 
 from __future__ import annotations
@@ -68,6 +68,8 @@ def falls(recording: Recording, scene: Scene) -> Array:
 
 def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | None:
     """The flights of a recording; None if the jack's three numbers were not observed together often enough."""
+    if scene.drive is not None and scene.drive.force_bound > 0.0:  # pushes the box's centre
+        return None
     straight = recording.states[:, :RATES] + falls(recording, scene)
     rows = np.flatnonzero(np.isfinite(straight[:, _JACK]).all(axis=1))
     if len(rows) < 0.5 * len(straight) or len(rows) < 2 * LEAST_ROWS:
@@ -96,7 +98,7 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
 
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
-    straight = recording.states[:, _JACK] + falls(recording, scene)[:, _JACK]
+    straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
     rows, found = np.flatnonzero(np.isfinite(straight).all(axis=1)), dict[int, Array]()
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
@@ -183,7 +185,8 @@ def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Ar
     added, rows = falls(recording, scene), np.arange(len(recording.states)) * recording.dt
     both = np.concatenate([added, np.gradient(added, recording.dt, axis=0)], axis=1)
     taken = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
-    return np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - taken
+    states: Array = np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - taken
+    return states
 
 
 class Guess(NamedTuple):

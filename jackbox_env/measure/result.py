@@ -32,6 +32,7 @@ class Fit:
         problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
             ended, the motion does not jump, every window fits within the noise, the residuals are white, and no other
             value of a field that is not fitted would fit better.
+        bad_rows: rows in which nothing of the jack was used, each in a sentence: "row 133: x_jack is 0.05 m off".
     """
 
     scene: Scene
@@ -42,6 +43,7 @@ class Fit:
     motions: tuple[Array, ...] = ()
     left_out: int = 0
     problems: tuple[str, ...] = ()
+    bad_rows: tuple[str, ...] = ()
 
     @property
     def converged(self) -> bool:

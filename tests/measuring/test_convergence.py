@@ -87,7 +87,7 @@ def test_links_that_stay_open_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_motion_that_is_followed_in_pieces_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     solve = fitting._Search._solve
 
-    def apart(self: fitting._Search, *arguments: Any, **keywords: Any) -> bool:
+    def apart(self: fitting._Search, *arguments: Any, **keywords: Any) -> Any:
         fitting._unlink(self._windows, range(len(self._windows)))
         return solve(self, *arguments, **keywords)
 
@@ -111,3 +111,48 @@ def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
     assert any(
         "something else that is not fitted, is wrong: another value would fit better by" in one for one in problems
     )
+
+
+def test_a_window_that_jumps_blocks_a_search_and_is_named() -> None:
+    def evaluate(unknowns: Array) -> Rows:
+        """Two windows that want x = 1; the second jumps where x is above 0.5."""
+        jacobian, x = np.zeros((26, 25)), unknowns[0]
+        jacobian[[0, 13], 24], jacobian[1:13, :12], jacobian[14:, :12] = 1.0, np.eye(12), np.eye(12)
+        residuals = np.concatenate([[x - 1.0], unknowns[1:13], [x - 1.0 + 5.0 * (x > 0.5)], unknowns[13:]])
+        return Rows(residuals, jacobian, np.zeros(26, np.intp), np.repeat([0, 1], 13))
+
+    unknowns, ended, blocking = minimise(evaluate, np.zeros(25), 2, 60, np.array([-9.0]), np.array([9.0]))
+    assert not ended
+    assert blocking.tolist() == [1]
+    assert unknowns[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_search_follows_a_narrow_curved_valley() -> None:
+    evaluations = [0]
+
+    def evaluate(unknowns: Array) -> Rows:
+        """x is 1 at best, and a tight link makes y the square of x."""
+        evaluations[0] += 1
+        (x, y), jacobian = unknowns[:2], np.zeros((14, 26))
+        jacobian[0, 24], jacobian[1, 24:], jacobian[2:, :12] = 1.0, (-2e3 * x, 1e3), np.eye(12)
+        residuals = np.concatenate([[x - 1.0, 1e3 * (y - x * x)], unknowns[2:]])
+        return Rows(residuals, jacobian, np.zeros(14, np.intp), np.zeros(14, np.intp))
+
+    unknowns, ended, _ = minimise(evaluate, np.zeros(14), 1, 60, np.full(2, -9.0), np.full(2, 9.0))
+    assert ended
+    np.testing.assert_allclose(unknowns[:2], 1.0, rtol=1e-6)
+    assert evaluations[0] < 12
+
+
+def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
+    recording = filmed(LAB)
+    recording.states[40, 3] += 0.05
+    recording.states[71, 3:6] = 0.0
+    start = LAB.changed(jack_mass=4.0 * LAB.jack_mass, jack_inertia=4.0 * LAB.jack_inertia, restitution=1.0)
+    fitted = fit(recording, FIELDS, start)
+    assert fitted.problems == ()
+    assert fitted.scene.jack_mass == pytest.approx(LAB.jack_mass, rel=0.01)
+    assert fitted.scene.restitution == pytest.approx(LAB.restitution, abs=0.005)
+    assert any(sentence.startswith("row 40: x_jack is 0.05") for sentence in fitted.bad_rows), fitted.bad_rows
+    assert any(sentence.startswith("row 71: ") for sentence in fitted.bad_rows), fitted.bad_rows
+    assert len(fitted.bad_rows) <= 4
