@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.model.action import ACTIONS, Action
-from jackbox_env.model.observation import OBSERVATIONS, STATE, Observation, bad_observation, observation_of, observe
+from jackbox_env.model.observation import (
+    OBSERVATIONS,
+    STATE,
+    Observation,
+    bad_observation,
+    observation_of,
+    observe_named,
+)
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, State
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
@@ -56,7 +63,7 @@ class PlainFunctions:
     """Their functions in a scene, in plain Python."""
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
-        self._scene, self._numbers, self.nouns = scene, scene.numbers, nouns
+        self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """After a step: the observation, the values of the reward's terms, and whether the episode is over.
@@ -69,12 +76,14 @@ class PlainFunctions:
             seen: False: the observation is not wanted, and empty.
         """
         after, over, task = State(*state.tolist()), False, self.nouns.task
-        terms = checked_terms(task, task.values(self._numbers, after, torque, impulse))
+        values = task.values(self._numbers, after, torque, impulse)
+        terms = cast("tuple[float, ...]", values) if self._known else checked_terms(task, values)
         if task.over is not None:
             over = task.over(self._numbers, after, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return self.observe(state, time) if seen else _NOTHING, terms, bool(over)
+        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else _NOTHING
+        return observation, terms, bool(over)
 
     def observe(self, state: Array, time: float) -> Seen:
         """The observation of a state, shape (12,), at a time [s].
@@ -83,7 +92,7 @@ class PlainFunctions:
             TypeError: the function of a user's observation returns a wrong type.
             TaskError: a number is NaN.
         """
-        return observe(self._scene, state.tolist(), time, self.nouns.observation)
+        return observe_named(self._numbers, State(*state.tolist()), time, self.nouns.observation)
 
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:
         """The torque over its limit, not clipped; arguments as of ``Action.share``."""
