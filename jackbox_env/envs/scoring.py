@@ -109,9 +109,10 @@ class CompiledFunctions:
     def __init__(self, scene: Scene, nouns: Nouns, calls: tuple[Any, ...] | None = None) -> None:
         self._scene, self.nouns = scene, nouns
         self._calls = calls or _calls_of(nouns)
-        self._judge, self._observe, self._share, *_, self._observer, self._scorer = self._calls
+        self._judge, self._observe, self._share, *_ = self._calls
         self._numbers, self._names = np.array(scene.numbers), len(nouns.observation.names)
         self._terms = np.empty(len(nouns.task.terms))  # written by each call
+        self._memory, self._address = self._calls[-1](self._numbers, self._terms)  # of the arguments of judge
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
@@ -119,9 +120,7 @@ class CompiledFunctions:
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """As :meth:`PlainFunctions.judge`."""
         observation = np.empty(self._names, dtype=np.float32) if seen else _NOTHING
-        over = self._judge(
-            self._numbers, state, time, torque, impulse, observation, self._terms, self._observer, self._scorer
-        )
+        over = self._judge(self._address, state, time, torque, impulse, observation)
         if over < 0:
             raise self._bad_observation(state, time)
         return observation, self._terms.tolist(), over > 0
@@ -216,12 +215,19 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
 
 def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
     """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
-    from jackbox_env.exact.compiler import address_of, compiled
-    from jackbox_env.exact.score import act_one, judge, observe_one, row_observer, row_scorer, score_one
+    from jackbox_env.exact.compiler import PACKED, address_of, compiled
+    from jackbox_env.exact.score import act_one, judge, observe_one, pack_judged, row_observer, row_scorer, score_one
 
     observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
     act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
-    return compiled(judge), observe, act, score, address_of(observe, row_observer), address_of(score, row_scorer)
+    addresses = address_of(observe, row_observer), address_of(score, row_scorer)
+
+    def pack(numbers: Array, terms: Array) -> tuple[Array, int]:
+        """Memory with the arguments of ``judge``, and its address."""
+        memory = np.zeros(PACKED)
+        return memory, compiled(pack_judged)(memory, numbers, terms, *addresses)
+
+    return compiled(judge), observe, act, score, pack
 
 
 def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -452,11 +452,12 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     def _info(self, of: ControlStep, steps: int) -> dict[str, Any]:
         """The info of a decision of so many control steps."""
+        state, time, torque, impacts, impulse, terms, *_ = of
         info = {
-            "state": of.state, "time": of.time, "torque": of.torque, "impacts": len(of.impacts), "impulse": of.impulse,
+            "state": state, "time": time, "torque": torque, "impacts": len(impacts), "impulse": impulse,
             "duration": steps * self._dt,
         }  # fmt: skip
-        info.update(zip(self._terms, of.terms, strict=True))
+        info.update(zip(self._terms, terms, strict=True))
         return info if self._randomize is None else info | self._drawn()
 
     def _drawn(self) -> dict[str, Any]:
