@@ -119,7 +119,7 @@ class CompiledFunctions:
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """As :meth:`PlainFunctions.judge`."""
-        observation = np.empty(self._names, dtype=np.float32) if seen else _NOTHING
+        observation = np.empty(self._names, np.float32) if seen else _NOTHING
         over = self._judge(self._address, state, time, torque, impulse, observation)
         if over < 0:
             raise self._bad_observation(state, time)

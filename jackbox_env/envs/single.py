@@ -236,7 +236,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
-        self._most: float = self.repeat.steps
+        self._most: float
+        self._most, self._max_contact_steps = self.repeat
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
         self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, nouns, setting.contact)
@@ -375,13 +376,14 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
                 controls = self.nouns.action.checked(action)[:, 0]
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
-        most = min(self._most, self._limit - self.elapsed_steps)
+        left = self._limit - self.elapsed_steps
+        most = self._most if self._most < left else left
         if most <= 0:
             raise gym.error.ResetNeeded(f"step must come after a reset, as the episode has had its {self._limit} steps")
-        simulator = self._simulator
+        simulator, functions = self._parts
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            parts = decide(*self._parts, self._dt, torque, controls, most, self.repeat.max_contact_steps)
+            parts = decide(simulator, functions, self._dt, torque, controls, most, self._max_contact_steps)
         except BaseException:
             if before is not None:
                 simulator.restore(before)
