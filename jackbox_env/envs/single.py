@@ -236,8 +236,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
-        self._most: float
-        self._most, self._max_contact_steps = self.repeat
+        self._most: float = self.repeat.steps
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
         self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, nouns, setting.contact)
@@ -383,7 +382,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         simulator, functions = self._parts
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            parts = decide(simulator, functions, self._dt, torque, controls, most, self._max_contact_steps)
+            parts = decide(simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps)
         except BaseException:
             if before is not None:
                 simulator.restore(before)
