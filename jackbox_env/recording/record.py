@@ -66,10 +66,17 @@ class Record:
     held: Counts
     failure: Exception | None = None
 
+    def same_impact(self) -> Flags:
+        """Of each row of ``impacts`` whether its foot strikes together with that of the row before."""
+        rows = self.impacts
+        same = (rows["time"][1:] == rows["time"][:-1]) & (self.held[1:] >= 0) & (self.held[:-1] >= 0)
+        same &= (rows["before"][1:] == rows["before"][:-1]).all(axis=1)
+        return np.concatenate([np.zeros(len(rows[:1]), np.bool_), same])
+
     @cached_property
     def knots(self) -> Knots:
         """The moments at which flights begin."""
-        jumps = np.flatnonzero(self.held >= 0)
+        jumps = np.flatnonzero((self.held >= 0) & ~self.same_impact())
         number = np.concatenate([np.arange(len(self.times)), self.steps[jumps]])
         order = np.argsort(number, kind="stable")  # the start of a step, then its jumps
         times = np.concatenate([self.times, self.impacts["time"][jumps]])[order]

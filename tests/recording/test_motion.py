@@ -131,6 +131,21 @@ def test_energy_is_the_work_less_what_impacts_dissipate(restitution: float) -> N
     assert motion.work()[0] == 0.0
 
 
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_impacts_of_several_feet_have_no_part_in_work(restitution: float, cases: Callable[[int], int]) -> None:
+    rng, times = np.random.default_rng(5), np.linspace(0.0, 4.0, 99)
+    scene = Scene(restitution=restitution, box_mass=30.0)
+    for _ in range(cases(20)):
+        start = np.zeros(12)
+        start[[9, 10]], start[5] = rng.uniform(-3.0, 3.0, 2), math.pi / 4.0  # two feet come down together
+        free = simulate(scene, start, 4.0, torque=0.0)
+        assert free.impacts["time"][0] == free.impacts["time"][1]
+        np.testing.assert_allclose(free.work(times), 0.0, rtol=0.0, atol=1e-9)
+        if restitution == 1.0:
+            turned = simulate(scene, start, 2.0, torque=lambda t: 0.0 if t < 1.6 else 10.0)
+            np.testing.assert_allclose(turned.energy() - turned.energy(0.0), turned.work(), rtol=0.0, atol=1e-9)
+
+
 # -- restarts ----------------------------------------------------------------------------------------------------------
 
 
