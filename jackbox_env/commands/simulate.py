@@ -114,7 +114,7 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
     Raises:
         ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
     """
-    from jackbox_env.recording.simulation import steps_of
+    from jackbox_env.recording.recorder import steps_of
 
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):

@@ -27,6 +27,7 @@ JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12)]
 ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
 
 Impacts = NDArray[Any]  # structured
+Torques = Array | float | None  # of each step, or of any step [N m]; None: the scene's drive acts
 
 
 class WithoutStates(np.ndarray[Any, Any]):
@@ -48,11 +49,13 @@ class Record:
         rest: duration of the last step if it is shorter [s], else 0.
         times: at the ends of steps, the start first [s], shape (n + 1,).
         states: SI units, shape (n + 1, 12).
-        torques: constant in each step [N m], n of them or more; None: the scene's drive acts.
+        torques: constant in each step [N m]: n of them or more, or one for any number of steps; None: the scene's
+            drive acts.
         impacts: structured, shape (m,), in time order; without the states of ``JUMP`` if the contact model has none.
         steps: in which each impact is, shape (m,).
         held: number of feet at rest before each impact in its step, -1 for the impulse of a foot at rest; shape (m,).
         failure: the error that ended it early.
+        rounding: of the sums that the times are, at most [s].
     """
 
     scene: Scene
@@ -60,11 +63,22 @@ class Record:
     rest: float
     times: Array
     states: Array
-    torques: Array | None
+    torques: Torques
     impacts: Impacts
     steps: Counts
     held: Counts
     failure: Exception | None = None
+    rounding: float = 0.0
+
+    def slack(self, duration: float) -> float:
+        """By how much [s] a time may differ from one of this record, and mean the same one; see :func:`slack_of`."""
+        return slack_of(duration, self.dt, self.rounding)
+
+    def torques_in(self, steps: Counts) -> Array | None:
+        """The torque in each of some steps [N m]; None: the scene's drive acts."""
+        if isinstance(self.torques, np.ndarray):
+            return self.torques[steps]
+        return None if self.torques is None else np.full(len(steps), self.torques)
 
     def same_impact(self) -> Flags:
         """Of each row of ``impacts`` whether its foot strikes together with that of the row before."""
@@ -98,11 +112,11 @@ class Record:
         states: Array = knots.states[indices].copy()
         moved = np.flatnonzero(durations > 0.0)
         held = knots.held[indices[moved]]
-        for index in moved[held]:
-            knot = indices[index]
-            simulator = ExactSimulator(self.scene)
-            simulator.reset(knots.states[knot], float(knots.times[knot]))
-            torque = None if self.torques is None else float(self.torques[knots.steps[knot]])
+        resting, simulator = moved[held], ExactSimulator(self.scene)
+        torques = self.torques_in(knots.steps[indices[resting]])
+        for number, index in enumerate(resting):
+            simulator.reset(knots.states[indices[index]], float(knots.times[indices[index]]))
+            torque = None if torques is None else float(torques[number])
             states[index] = simulator.step(float(durations[index]), torque).state
         if (flying := moved[~held]).size:
             states[flying] = self._coasted(indices[flying], durations[flying])
@@ -118,9 +132,10 @@ class Record:
             spans = zip(
                 knots.times[unique].tolist(), (knots.times[unique + 1] - knots.times[unique]).tolist(), strict=True
             )
-            held = None if self.torques is None else 0.0
+            held = None if self.torques is None else 0.0  # any number
             table, _, ends = joined([pieces_for(scene.drive, *span, held) for span in spans], ends[:1])
-        torques = np.zeros(count) if self.torques is None else self.torques[knots.steps[indices]]
+        torques = self.torques_in(knots.steps[indices])
+        torques = np.zeros(count) if torques is None else torques
         moments = Moments(
             knots.states[indices], knots.times[indices], torques, durations, table, ends[number], ends[number + 1]
         )
@@ -130,6 +145,11 @@ class Record:
         if failed >= 0:
             raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")
         return states
+
+
+def slack_of(duration: float, dt: float, rounding: float = 0.0) -> float:
+    """What is rounding of a duration in steps of ``dt``, or of a time after it [s]; it makes no step."""
+    return 1e-6 * dt + 1e-12 * duration + rounding
 
 
 class Knots(NamedTuple):

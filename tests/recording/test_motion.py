@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import jackbox_env
+import jackbox_env.recording.recorder
 from jackbox_env import Chirp, Drive, Motion, Scene, State, make_simulator, rollout, simulate
 from jackbox_env.mechanics import gaps, simultaneous_impact_map
 from tests.states import Array, inside, load, lying
@@ -196,6 +198,25 @@ def test_a_restart_goes_on_longer_and_restarts_again() -> None:
     held = simulate(torque=np.zeros(500))
     with pytest.raises(ValueError, match="duration must be at most 8.9.* s, as long as there are torques"):
         held.restart(0, 20.0)
+    with pytest.raises(ValueError, match=r"duration / dt must be at most 10,000,000 steps, got 1e\+09 / 0.02"):
+        whole.restart(3, 1e9)
+    again = simulate(torque=0.0, duration=2.0, until=1).restart(0, 5.0)
+    assert again.torques is not None
+    assert again.torques.tolist() == [0.0] * 251
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.003, 1e-4])
+@pytest.mark.parametrize("until", [None, "impact"])
+def test_a_restart_goes_to_the_nominal_end(dt: float, until: str | None) -> None:
+    torques = np.full(math.ceil(4.0 / dt - 1e-6), 3e4)
+    motion = simulate(torque=torques, duration=4.0, dt=dt, until=until)
+    again = motion.restart(0, 4.0 - float(motion.impacts["time"][0]))
+    whole = simulate(torque=torques, duration=4.0, dt=dt)
+    np.testing.assert_allclose(again.t[1:], whole.t[-len(again.t) + 1 :], rtol=0.0, atol=1e-12)
+    if until is None:
+        np.testing.assert_array_equal(again.states[-1], whole.states[-1])
+    for one in (whole, again, whole.restart(-1)):
+        np.testing.assert_allclose(one(4.0), one.states[-1], rtol=0.0, atol=1e-8)
 
 
 # -- events ------------------------------------------------------------------------------------------------------------
@@ -244,6 +265,40 @@ def test_a_foot_at_rest_is_no_impact_that_ends_a_motion() -> None:
     assert len(motion.impacts) == 100  # its weight, on two feet in each step
 
 
+FAILING: dict[str, Any] = {
+    "array": np.where(np.arange(100) == 55, 1e300, 0.0),
+    "function": lambda t: 0.0 if t < 1.1 else 1.0 / 0.0,
+    "no number": lambda t: 0.0 if t < 1.1 else math.nan,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("torque", FAILING.values(), ids=FAILING)
+def test_a_failure_after_the_event_is_none(torque: Any) -> None:
+    motion = simulate(duration=2.0, torque=torque, until=1)
+    assert motion.t[-1] == motion.impacts["time"][0] == simulate(torque=0.0, until=1).t[-1]
+    assert motion.failure is None
+    assert simulate(duration=2.0, torque=torque, until=lambda s: s.vy_jack + 9.0).t[-1] == pytest.approx(9.0 / 9.81)
+    for late in (2, lambda s: s.vy_jack + 20.0, None):
+        with pytest.raises((jackbox_env.JackLostError, ZeroDivisionError, ValueError), match="t = 1.1|division|nan"):
+            simulate(duration=2.0, torque=torque, until=late)
+
+
+def test_a_function_that_fails_at_once_is_raised() -> None:
+    with pytest.raises(ZeroDivisionError):
+        simulate(torque=lambda t: 1.0 / 0.0)
+
+
+def test_the_first_state_is_the_start_and_an_impact_there_is_in_the_motion() -> None:
+    begun = simulate({"drive": None}, duration=2.0)
+    start = begun.impacts["before"][0]
+    for until in (None, 1, "impact"):
+        motion = simulate({"drive": None}, start, 1.0, until=until)
+        assert motion.impacts["time"][0] == 0.0
+        np.testing.assert_array_equal(motion.states[0], start)
+        np.testing.assert_array_equal(motion(0.0), motion.impacts["after"][0])
+        np.testing.assert_array_equal(motion(0.0, "before"), start)
+
+
 # -- the rest of the interface -----------------------------------------------------------------------------------------
 
 
@@ -253,6 +308,26 @@ def test_a_duration_that_is_no_multiple_of_dt_ends_with_a_shorter_step() -> None
     np.testing.assert_allclose(motion.states[-1], simulate(duration=0.05, dt=0.05).states[-1], rtol=0.0, atol=1e-14)
     assert len(simulate(duration=0.3, dt=0.1).t) == 4
     assert simulate(duration=0.01).t.tolist() == [0.0, 0.01]
+    assert simulate(duration=1e-9).t.tolist() == [0.0, 1e-9]
+    assert simulate(duration=1e-9, fidelity="balanced", torque=[3.0]).t.tolist() == [0.0, 1e-9]
+
+
+def test_a_pickled_motion_has_its_own_size() -> None:
+    motion = simulate({"drive": None}, duration=1.1, torque=0.0)
+    assert len(pickle.dumps(motion)) < 30_000
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(motion)).restart(0).t, motion.restart(0).t)
+    assert len(pickle.dumps(simulate(duration=1e5, torque=0.0, until=1))) < 100_000
+
+
+def test_want_of_memory_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise MemoryError
+
+    motion = simulate(duration=2.0)
+    monkeypatch.setattr(jackbox_env.recording.recorder, "joined_records", full)
+    for make in (simulate, lambda: motion.restart(0)):
+        with pytest.raises(MemoryError, match="does not fit into memory; use a shorter duration or a longer dt"):
+            make()
 
 
 def test_torques_are_numbers_functions_or_one_for_each_step() -> None:
