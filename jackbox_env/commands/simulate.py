@@ -142,6 +142,8 @@ def _refuse_impossible(arguments: argparse.Namespace) -> None:
 
         check.real("seconds of a film", arguments.seconds, at_most=_LONGEST_FILM)
         check_film(arguments.film)
+        if arguments.film.absolute() in (folder := arguments.folder.absolute(), *folder.parents):
+            raise ValueError(f"film must be another path than folder, got {check.shown(str(arguments.film))}")
     check_new(arguments.folder)
 
 

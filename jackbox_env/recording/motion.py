@@ -122,8 +122,9 @@ class Motion:
         in it, and ``energy - work`` changes by what they dissipate.
 
         Raises:
-            TypeError, ValueError: as of a call.
+            TypeError, ValueError: as of a call; also without ``t`` for another contact model than the exact one.
         """
+        self._record.refuse_no_states("work is summed over the flights between impacts, and ")
         times, shape = self._times(self.t if t is None else t)
         return (self._worked(times) - self._worked(self.t[:1])).reshape(shape)
 

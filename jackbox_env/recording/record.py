@@ -17,25 +17,39 @@ from jackbox_env.exact.motion import Moments, coast, fly
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Counts, Flags
-from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, ExactSimulator, drive_kind, joined, pieces_for
+from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
 
 #: Of an impact: time [s], wall, foot, impulse [N s].
 IMPACT = [("time", "f8"), ("wall", "i8"), ("foot", "i8"), ("impulse", "f8")]
 #: With the states just before and just after it.
 JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12)]
 
+_ROOM = 64  # rows of feet at rest in a step
 ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
 
 Impacts = NDArray[Any]  # structured
 Torques = Array | float | None  # of each step, or of any step [N m]; None: the scene's drive acts
 
 
+def _refuse_states(key: Any) -> None:
+    """Raise ValueError if it is the name of the states before or after an impact."""
+    if isinstance(key, str) and key in ("before", "after"):
+        raise ValueError(f"these impacts have no states {key} them: that needs fidelity='exact'")
+
+
 class WithoutStates(np.ndarray[Any, Any]):
     """Impacts of a contact model that has no states before and after them."""
 
     def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str) and key in ("before", "after"):
-            raise ValueError(f"these impacts have no states {key} them: that needs fidelity='exact'")
+        _refuse_states(key)
+        return super().__getitem__(key)
+
+
+class ImpactWithoutStates(np.void):  # type: ignore[misc]  # numpy supports it, as its own np.record
+    """One of them."""
+
+    def __getitem__(self, key: Any) -> Any:
+        _refuse_states(key)
         return super().__getitem__(key)
 
 
@@ -101,29 +115,23 @@ class Record:
         ended = np.concatenate([ends, self.held[jumps] > 0])[order]
         return Knots(times, states, arrived[1:], number[order], np.append(ended[1:], False))
 
-    def refuse_no_states(self) -> None:
-        """Raise ValueError unless there are states between control steps."""
+    def refuse_no_states(self, needed: str = "") -> None:
+        """Raise ValueError unless there are states between control steps; ``needed`` says what needs them."""
         if "before" not in (self.impacts.dtype.names or ()):
-            raise ValueError(f"this motion has states at the ends of control steps only: {ONLY_EXACT}")
+            raise ValueError(f"{needed}this motion has states at the ends of control steps only: {ONLY_EXACT}")
 
     def flown(self, indices: Counts, durations: Array) -> Array:
         """The states some time after knots [s], shape (n, 12), before the next knot."""
         knots = self.knots
         states: Array = knots.states[indices].copy()
-        moved = np.flatnonzero(durations > 0.0)
-        held = knots.held[indices[moved]]
-        resting, simulator = moved[held], ExactSimulator(self.scene)
-        torques = self.torques_in(knots.steps[indices[resting]])
-        for number, index in enumerate(resting):
-            simulator.reset(knots.states[indices[index]], float(knots.times[indices[index]]))
-            torque = None if torques is None else float(torques[number])
-            states[index] = simulator.step(float(durations[index]), torque).state
-        if (flying := moved[~held]).size:
-            states[flying] = self._coasted(indices[flying], durations[flying])
+        held = knots.held[indices]
+        for resting in (False, True):
+            if (moved := np.flatnonzero((durations > 0.0) & (held == resting))).size:
+                states[moved] = self._moved(indices[moved], durations[moved], resting)
         return states
 
-    def _coasted(self, indices: Counts, durations: Array) -> Array:
-        """:func:`flown` without feet at rest."""
+    def _moved(self, indices: Counts, durations: Array, resting: bool) -> Array:
+        """:func:`flown` by free flight, or by steps, in which feet may be ``resting``."""
         knots, scene = self.knots, self.scene
         kind, count = drive_kind(scene.drive, self.torques is not None), len(indices)
         unique, number = np.unique(indices, return_inverse=True)
@@ -140,8 +148,8 @@ class Record:
             knots.states[indices], knots.times[indices], torques, durations, table, ends[number], ends[number + 1]
         )
         states: Array = np.empty((count, 12))
-        loop = compiled(fly, advance=coast)
-        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((1, 1)))
+        loop = compiled(fly) if resting else compiled(fly, advance=coast)
+        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((_ROOM, 4)))
         if failed >= 0:
             raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")
         return states

@@ -34,7 +34,7 @@ from jackbox_env.exact.workspace import (
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.recording.events import Event
-from jackbox_env.recording.record import IMPACT, JUMP, Record, Torques, WithoutStates, slack_of
+from jackbox_env.recording.record import IMPACT, JUMP, ImpactWithoutStates, Record, Torques, WithoutStates, slack_of
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -150,7 +150,8 @@ class Recorder:
 
     def record(self, failure: Exception | None = None) -> Record:
         """The steps so far."""
-        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(WithoutStates)
+        kind = np.dtype((ImpactWithoutStates, IMPACT))
+        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(kind).view(WithoutStates)
         steps = np.array(self._steps, np.int64)
         return Record(
             self._scene, self._dt, 0.0, np.array(self._times), np.array(self._states),

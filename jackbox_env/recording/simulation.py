@@ -58,8 +58,9 @@ def simulate(
             control steps only.
         until: what ends the motion before ``duration``; "exact" only. "impact"; a number of impacts, > 0; or a
             function of the :class:`jackbox_env.State` at its next change of sign, also by an impact. The function is
-            sampled at 8 points at least on each flight, so two changes between two points are missed. A foot at rest
-            counts as no impact here.
+            sampled at 8 points on each flight within a control step, so ``dt`` sets the resolution: two changes between
+            two points are missed. A foot at rest counts as no impact here. Feet that strike together count one each,
+            so there may be more impacts than the number.
 
     Raises:
         TypeError, ValueError: unusable values.

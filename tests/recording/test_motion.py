@@ -107,6 +107,16 @@ def test_at_rest_the_jack_stays_on_its_feet_at_any_time() -> None:
     np.testing.assert_allclose(rows["before"][-1], motion.states[-1])
 
 
+def test_at_rest_a_state_is_that_of_a_shorter_step_bit_for_bit() -> None:
+    scene, simulator = Scene(restitution=0.5), make_simulator({"restitution": 0.5}, fidelity="exact")
+    motion = simulate(scene, lying(), 1.0, torque=800.0, dt=0.25)
+    assert motion._record.knots.held[:-1].all()
+    for time in (0.1, 0.3, 0.9):
+        step = int(time / 0.25)
+        simulator.reset(motion.states[step], float(motion.t[step]))
+        np.testing.assert_array_equal(motion(time), simulator.step(time - motion.t[step], 800.0).state)
+
+
 def test_without_the_engines_rest_a_foot_at_rest_would_fall(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = simulate(Scene(restitution=0.5, drive=None), lying(), 1.0, dt=0.25)
     height = motion.states[0, 4]
@@ -352,12 +362,17 @@ def test_with_pymunk_there_are_states_at_control_steps_only(fidelity: str) -> No
     assert motion.impacts["impulse"].min() > 0.0
     for refused in (
         lambda: motion(0.1),
-        lambda: motion.work(),
+        lambda: motion.work(0.1),
         lambda: motion.impacts["after"],
+        lambda: motion.impacts[0]["before"],
+        lambda: pickle.loads(pickle.dumps(motion)).impacts[1:][0]["after"],
         lambda: motion.restart(0),
     ):
         with pytest.raises(ValueError, match="fidelity='exact'"):
             refused()
+    with pytest.raises(ValueError, match="work is summed over the flights between impacts, and this motion has states"):
+        motion.work()
+    assert motion.impacts[0]["impulse"] == motion.impacts["impulse"][0]
 
 
 def test_a_lost_jack_raises_and_what_came_before_is_not_lost() -> None:
@@ -392,6 +407,9 @@ def test_files_have_the_motion(tmp_path: Path, fidelity: str) -> None:
         motion.save(npz)
     with pytest.raises(ValueError, match="suffix of path must be one of '.npz', '.csv', '.mat', got '.xls'"):
         motion.save(tmp_path / "run.xls")
+    for suffix in (".npz", ".csv", ".mat"):
+        with pytest.raises(FileNotFoundError, match=f"missing/run{suffix}'$"):
+            motion.save(tmp_path / "missing" / f"run{suffix}")
 
 
 def test_a_frame_has_names_without_units_and_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
