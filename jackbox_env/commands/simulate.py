@@ -196,7 +196,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(motion.impacts)} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
+    print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
     for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")
     if motion.failure:

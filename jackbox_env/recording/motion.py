@@ -45,8 +45,8 @@ class Motion:
         torques: constant in each control step [N m], shape (n - 1,); None: the scene's drive acts.
         impacts: a structured array in time order: ``time`` [s], ``wall``, ``foot``, ``impulse`` [N s], and the states
             ``before`` and ``after``, 12 numbers each. Feet that strike at one moment have a row each, of the same
-            states. A foot at rest on a wall has a row at the end of each step, with the impulse of the whole step, and
-            before = after.
+            states. A foot at rest on a wall has a row at the end of each step, with the impulse of the whole step,
+            before = after, and True in the field ``resting``. With pymunk there are only the first four fields.
         failure: the error that ended the motion early, or None.
     """
 
@@ -73,6 +73,13 @@ class Motion:
             self.states[-1] = self(last)
         self.states[0] = record.states[0] if begin is None else impacts["after"][begin]
         self.torques = record.torques_in(np.arange(low, low + len(self.t) - 1))
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"Motion(t from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} states, {self.impact_count} impacts, "
+            f"dt = {self.dt:g} s)"
+        )
 
     def __call__(self, t: ArrayLike, side: Side = "after") -> Array:
         """The states at any times of the motion, shape (..., 12), SI units.
@@ -186,6 +193,11 @@ class Motion:
         return np.bincount(steps, minlength=len(self.t) - 1)
 
     @property
+    def impact_count(self) -> int:
+        """Number of impacts, without those of feet at rest; with pymunk, which does not distinguish them, with them."""
+        return len(self.impacts) - int((self._record.held[self._rows] < 0).sum())
+
+    @property
     def hits(self) -> list[Impact]:
         """The impacts as :class:`jackbox_env.Impact`, without states."""
         return [Impact(*row) for row in zip(*(self.impacts[name].tolist() for name in Impact._fields), strict=True)]
@@ -235,6 +247,8 @@ class Motion:
         states = {("time", "s"): self.t, **by_name("", self.states), ("torque", "N m"): torque}
         units = {"time": "s", "impulse": "N s"}
         impacts = {(name, units.get(name, "")): self.impacts[name] for name in Impact._fields}
-        for side in [name for name in self.impacts.dtype.fields or () if name not in Impact._fields]:
-            impacts |= by_name(f"{side} ", self.impacts[side])
+        if "before" in (self.impacts.dtype.names or ()):
+            for side in ("before", "after"):
+                impacts |= by_name(f"{side} ", self.impacts[side])
+            impacts[("resting", "")] = self.impacts["resting"].astype(np.int64)
         return states, impacts

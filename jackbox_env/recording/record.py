@@ -21,8 +21,8 @@ from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, join
 
 #: Of an impact: time [s], wall, foot, impulse [N s].
 IMPACT = [("time", "f8"), ("wall", "i8"), ("foot", "i8"), ("impulse", "f8")]
-#: With the states just before and just after it.
-JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12)]
+#: With the states just before and just after it, and whether it is the impulse of a foot at rest in its step instead.
+JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12), ("resting", "?")]
 
 _ROOM = 64  # rows of feet at rest in a step
 ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
@@ -32,9 +32,9 @@ Torques = Array | float | None  # of each step, or of any step [N m]; None: the 
 
 
 def _refuse_states(key: Any) -> None:
-    """Raise ValueError if it is the name of the states before or after an impact."""
-    if isinstance(key, str) and key in ("before", "after"):
-        raise ValueError(f"these impacts have no states {key} them: that needs fidelity='exact'")
+    """Raise ValueError if it is the name of what only impacts of the exact contact model have."""
+    if isinstance(key, str) and key in ("before", "after", "resting"):
+        raise ValueError(f"these impacts have no field {key!r}: that needs fidelity='exact'")
 
 
 class WithoutStates(np.ndarray[Any, Any]):

@@ -93,6 +93,7 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     impacts["wall"], impacts["foot"], impacts["impulse"] = rows[:, 1], rows[:, 2], rows[:, 3]
     impacts["before"], impacts["after"] = rows[:, BEFORE : BEFORE + 12], rows[:, AFTER : AFTER + 12]
     counts = rows[:, HELD_SO_FAR].astype(np.int64)
+    impacts["resting"] = counts < 0
     impacts["before"][counts < 0] = impacts["after"][counts < 0] = states[0, in_step[counts < 0] + 1]
     return Record(
         scene, dt, 0.0, times[: done + 1], states[0, : done + 1], torques, impacts, in_step, counts, error

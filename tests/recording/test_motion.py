@@ -273,6 +273,12 @@ def test_a_foot_at_rest_is_no_impact_that_ends_a_motion() -> None:
     motion = simulate(Scene(restitution=0.5, drive=None), lying(), 1.0, until="impact")
     assert motion.t[-1] == pytest.approx(1.0)
     assert len(motion.impacts) == 100  # its weight, on two feet in each step
+    assert motion.impacts["resting"].all()
+    assert repr(motion) == "Motion(t from 0 to 1 s, 51 states, 0 impacts, dt = 0.02 s)"
+    both = simulate(Scene(restitution=0.5, drive=None), duration=8.0)
+    jumps = (both.impacts["before"] != both.impacts["after"]).any(axis=1)
+    np.testing.assert_array_equal(both.impacts["resting"], ~jumps)
+    assert 0 < both.impact_count < len(both.impacts)
 
 
 FAILING: dict[str, Any] = {
