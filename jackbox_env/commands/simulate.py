@@ -114,7 +114,7 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
     Raises:
         ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
     """
-    from jackbox_env.recording.simulation import steps_of
+    from jackbox_env.recording.recorder import steps_of
 
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):
@@ -142,6 +142,8 @@ def _refuse_impossible(arguments: argparse.Namespace) -> None:
 
         check.real("seconds of a film", arguments.seconds, at_most=_LONGEST_FILM)
         check_film(arguments.film)
+        if arguments.film.absolute() in (folder := arguments.folder.absolute(), *folder.parents):
+            raise ValueError(f"film must be another path than folder, got {check.shown(str(arguments.film))}")
     check_new(arguments.folder)
 
 
@@ -194,7 +196,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(motion.impacts)} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
+    print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
     for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")
     if motion.failure:
