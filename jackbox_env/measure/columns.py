@@ -17,7 +17,9 @@ from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, Array
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
+_USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
+_FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
@@ -33,7 +35,7 @@ def evened(
     In SI units and y upwards, with a row for each frame, and angles that do not wrap.
 
     If the torques are the drive's means, the drive acts instead: a constant torque of the same mean would lead
-    elsewhere. Constant torques do not depend on the time, so Unix times then count from the first row.
+    elsewhere. If nothing depends on the time, Unix times count from the first row.
 
     Raises:
         TypeError, ValueError: unusable content; the message names row and column.
@@ -42,7 +44,8 @@ def evened(
     times, rows, dt = _frames(table, columns["time"], scene)
     missing = int(rows[-1]) + 1 - len(rows)
     verb = "is" if missing == 1 else "are"
-    notes = [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
+    named = ", ".join(header for header in left_out if header.strip())
+    notes = [*table.notes, *[f"left out, because no name stands for them: {named}"] * bool(named)]
     notes += [f"{missing} of {rows[-1] + 1} frames {verb} missing, and left open"] * bool(missing)
     states = np.full((int(rows[-1]) + 1, 12), np.nan)
     for index, name in enumerate(STATE_NAMES):
@@ -58,9 +61,20 @@ def evened(
         torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
     _refuse_sizes(table, scene, states, dt)
     begin = float(times[0])
-    if torques is not None and abs(times).max() > LATEST_TIME:
+    if abs(times).max() > LATEST_TIME:
+        _refuse_clock(table, scene, begin, torques)
+        notes.append(f"times count from the first row, at {begin:.10g} s")
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
     return {"states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts}, tuple(notes)
+
+
+def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | None) -> None:
+    """Raise ValueError for Unix times of a scene whose drive acts."""
+    if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
+        raise ValueError(
+            f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give the "
+            "drive's times; --torque none if nothing turns the box"
+        )
 
 
 def unwrapped(angles: Array) -> tuple[Array, int]:
@@ -89,11 +103,11 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
         raise ValueError(
             f"{table.at(row + 1)}, column time: must increase, got {times[row + 1]:.10g} s after {times[row]:.10g} s"
         )
-    usual = float(np.quantile(steps, 0.2, method="lower"))  # more than every second frame may be missing
-    near = steps[abs(steps / usual - 1.0) < 0.5]
-    dt = float(near.mean())  # rounding of the times shifts a single step
+    spacing = 4.0 * float(np.spacing(abs(times).max()))
+    rounding = _rounding(times, spacing)
+    gaps = _gaps(steps, rounding)
+    dt = float(steps.sum() / gaps.sum())
     _refuse_coarse(table, scene, float(times[-1]), dt)
-    gaps = np.round(steps / dt)
     if gaps.sum() > _MOST_MISSING * len(times):
         raise ValueError(
             f"{table.source}column time: {gaps.sum() + 1 - len(times):g} frames are missing between {len(times)} rows; "
@@ -101,19 +115,44 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
         )
     rows = np.concatenate([[0], np.cumsum(gaps)]).astype(np.int64)
     dt, begin = float(times[-1] - times[0]) / max(int(rows[-1]), 1), float(times[0])
-    rounding = 4.0 * float(np.spacing(abs(times).max()))
-    if abs(times - begin - dt * rows).max() > 1e-6 * dt + rounding:  # rounded times: all of them count
+    if abs(times - begin - dt * rows).max() > 1e-6 * dt + spacing:  # rounded times: all of them count
         dt, shift = (float(number) for number in np.polyfit(rows, times - begin, 1))
         begin += shift
     even = np.float64(begin) + dt * rows.astype(np.float64)
-    uneven = (abs(times - even) > EVEN * dt + rounding) | np.append(False, np.diff(rows) < 1)
+    uneven = (abs(times - even) > EVEN * dt + 0.5 * rounding + spacing) | np.append(False, np.diff(rows) < 1)
     if uneven.any():
+        usual = float(np.quantile(steps, _USUAL, method="lower"))
         row = int(abs(steps / usual - np.round(steps / usual)).argmax())
         raise ValueError(
             f"{table.at(row + 1)}, column time: must increase evenly, to {EVEN:.0%} of a step, by {usual:g} s or a "
             f"multiple where frames are missing, got {steps[row]:g} s"
         )
     return even, rows, dt
+
+
+def _rounding(times: Array, spacing: float) -> float:
+    """The power of ten to which all times are rounded [s]; 0 if there is none down to 1 us."""
+    digits = (n for n in range(7) if (abs(times - np.round(times, n)) <= spacing).all())
+    return next((10.0**-n for n in digits), 0.0)
+
+
+def _gaps(steps: Array, rounding: float) -> Array:
+    """How many frames each step of time has: as few as the rounding of the times allows."""
+    usual = float(np.quantile(steps, _USUAL, method="lower"))
+
+    def by_steps(reach: float) -> Array:
+        counts: Array = np.round(steps / steps[abs(steps - usual) < reach].mean())  # rounding shifts a single step
+        return counts
+
+    gaps = by_steps(0.5 * usual)
+    if len(steps) < _LEAST_ROWS or gaps.mean() < _FEW_MISSING:
+        return gaps
+    for fewer in (np.ones(len(steps)), by_steps(max(0.5 * usual, 1.5 * rounding))):
+        rows, times = np.cumsum(fewer), np.cumsum(steps)
+        (dt, begin), even = np.polyfit(rows, times, 1), fewer.min() > 0.0
+        if even and abs(times - begin - dt * rows).max() < EVEN * dt + 0.5 * rounding:
+            return fewer
+    return gaps
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
