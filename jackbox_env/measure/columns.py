@@ -23,12 +23,13 @@ _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer th
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
+_GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
 _LARGEST_STEP = 5.0 * _TURN  # from row to row
 
 
 def evened(
     table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
-    impacts: Array | None = None,
+    impacts: Array | None = None, torque: str = "held",
 ) -> tuple[dict[str, Any], tuple[str, ...]]:  # fmt: skip
     """Arguments of a Recording, and sentences about what was changed.
 
@@ -56,7 +57,9 @@ def evened(
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
-    if torques is not None:
+    if torques is not None and torque == "sampled":
+        torques = np.interp(np.arange(len(states)), rows, filled(table, "torque", torques))
+    elif torques is not None:
         torques = filled(table, "torque", torques[:-1])
         torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
     _refuse_sizes(table, scene, states, dt)
@@ -65,7 +68,9 @@ def evened(
         _refuse_clock(table, scene, begin, torques)
         notes.append(f"times count from the first row, at {begin:.10g} s")
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
-    return {"states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts}, tuple(notes)
+    return {
+        "states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts, "torque": torque,
+    }, tuple(notes)  # fmt: skip
 
 
 def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | None) -> None:
@@ -104,7 +109,7 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
             f"{table.at(row + 1)}, column time: must increase, got {times[row + 1]:.10g} s after {times[row]:.10g} s"
         )
     spacing = 4.0 * float(np.spacing(abs(times).max()))
-    rounding = _rounding(times, spacing)
+    rounding = rounding_of(times)
     gaps = _gaps(steps, rounding)
     dt = float(steps.sum() / gaps.sum())
     _refuse_coarse(table, scene, float(times[-1]), dt)
@@ -130,29 +135,25 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     return even, rows, dt
 
 
-def _rounding(times: Array, spacing: float) -> float:
-    """The power of ten to which all times are rounded [s]; 0 if there is none down to 1 us."""
+def rounding_of(times: Array) -> float:
+    """The power of ten to which all times are rounded [s], down to 1 us; else what a double rounds them to."""
+    spacing = 4.0 * float(np.spacing(abs(times).max()))
     digits = (n for n in range(7) if (abs(times - np.round(times, n)) <= spacing).all())
-    return next((10.0**-n for n in digits), 0.0)
+    return next((10.0**-n for n in digits), spacing)
 
 
 def _gaps(steps: Array, rounding: float) -> Array:
     """How many frames each step of time has: as few as the rounding of the times allows."""
     usual = float(np.quantile(steps, _USUAL, method="lower"))
-
-    def by_steps(reach: float) -> Array:
-        counts: Array = np.round(steps / steps[abs(steps - usual) < reach].mean())  # rounding shifts a single step
-        return counts
-
-    gaps = by_steps(0.5 * usual)
-    if len(steps) < _LEAST_ROWS or gaps.mean() < _FEW_MISSING:
-        return gaps
-    for fewer in (np.ones(len(steps)), by_steps(max(0.5 * usual, 1.5 * rounding))):
-        rows, times = np.cumsum(fewer), np.cumsum(steps)
-        (dt, begin), even = np.polyfit(rows, times, 1), fewer.min() > 0.0
-        if even and abs(times - begin - dt * rows).max() < EVEN * dt + 0.5 * rounding:
-            return fewer
-    return gaps
+    reaches = 0.5 * usual, max(0.5 * usual, 1.5 * rounding)  # rounding shifts a single step
+    most, fewer = (np.round(steps / steps[abs(steps - usual) < reach].mean()) for reach in reaches)
+    certain = len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING
+    for gaps in () if certain else (np.ones(len(steps)), fewer):
+        rows, times = np.cumsum(gaps), np.cumsum(steps)
+        dt, begin = np.polyfit(rows, times, 1)
+        if gaps.min() > 0.0 and abs(times - begin - dt * rows).max() < EVEN * dt + 0.5 * rounding:
+            return gaps
+    return np.asarray(most)
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
@@ -195,11 +196,7 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
 
 def _length_of(half_widths: float) -> str:
     """A guess at what is wrong with a position that is as many half widths from the box's centre."""
-    if half_widths < 10.0:
-        return "is box_half_width right?"
-    if half_widths < 150.0:
-        return "centimetres or millimetres?"
-    return "millimetres?" if half_widths < 1500.0 else "pixels?"
+    return next((guess for most, guess in _GUESSES if half_widths < most), "pixels?")
 
 
 def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.measure.text import DELIMITERS, MISSING, NUMBER, read_rows
-from jackbox_env.measure.units import OTHER_UNITS, factor_of, parts, plain
+from jackbox_env.measure.text import DELIMITERS, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
@@ -145,15 +144,13 @@ def in_si_units(
         for name, (header, factor, values) in chosen.items()
     }
     listed = ", ".join(repr(header) for header, _ in table.columns)
-    for name, text in (names or {}).items():
+    for name in (*(names or {}), *needed):
         if name not in columns:
-            raise ValueError(
-                f"{table.header()} {parts(text, units)[0]!r}, which is to be {name}, must be one of {listed}"
-            )
-    for name in needed:
-        if name not in columns:
-            where = f"{table.source}{f'row {table.at_line}: ' if table.source else ''}"
-            raise ValueError(f"{where}there must be a column {name} [{units[name]}], got {listed or 'none'}")
+            what = f"there must be a column {name} [{units[name]}], got {listed or 'none'}"
+            if name in (names or {}):
+                text = parts((names or {})[name], units)[0]
+                what = f"column {text!r}, which is to be {name}, must be one of {listed}"
+            raise ValueError(f"{table.header().removesuffix('column')}{what}")
     if len({len(column) for column in columns.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise ValueError(f"{table.source}columns must have the same number of rows, got {lengths}")
@@ -189,8 +186,10 @@ def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
     cells = [cell.strip() for column in columns for cell in column]
     commas = [cell for cell in cells if "," in cell and NUMBER.fullmatch(cell)]
     if commas and (any("." in cell for cell in cells) or all(map(_THOUSANDS.fullmatch, commas))):
-        form = "commas must be in all decimal numbers or in none, and in no thousands"
-        raise ValueError(f"{table.source.removesuffix(', ')}: {form}, got {check.shown(commas[0])}")
+        raise ValueError(
+            f"{table.source.removesuffix(', ')}: commas must be in all decimal numbers or in none, and in no "
+            f"thousands, got {check.shown(commas[0])}"
+        )
     return bool(commas)
 
 
@@ -199,7 +198,12 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Ar
     if table.lines is not None:
         point = "," if decimal_commas else "."
         cells = [cell.strip().replace("\u2212", "-").replace(point, ".") for cell in values]
-        return np.array([_number(table, row, header, cell) for row, cell in enumerate(cells)], dtype=np.float64)
+        read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
+        for line, cell in enumerate(cells):
+            if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):
+                what = f"must be a number or empty, got {check.shown(values[line].strip())}"
+                raise ValueError(f"{table.at(line)}, column {header}: {what}")
+        return read
     array = np.asarray(values)
     try:
         numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
@@ -213,23 +217,16 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Ar
     return numbers
 
 
-def _number(table: Table, row: int, header: str, cell: str) -> float:
-    value = float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan
-    if math.isinf(value) or (math.isnan(value) and cell.lower() not in MISSING):
-        raise ValueError(f"{table.at(row)}, column {header}: must be a number or empty, got {check.shown(cell)}")
-    return value
-
-
 def _factor(table: Table, header: str, unit: str | None, of_names: str | None, si: str) -> float:
     """The unit of a column [si], which the header or ``names`` have."""
     if unit is not None and of_names is not None and plain(unit) != plain(of_names):
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {of_names!r}, chosen for it")
-    unit = of_names if unit is None else unit
-    if unit is None and (match := re.search(r"\(([^()]*)\)\s*$", header)):
-        unit = match[1]
-    factor = factor_of(unit, si)
+    in_parentheses = re.search(r"\(([^()]*)\)\s*$", header)
+    unit = next((one for one in (unit, of_names, in_parentheses and in_parentheses[1]) if one is not None), si)
+    factors = {si: 1.0, **OTHER_UNITS.get(si, {})}
+    factor = {plain(one): factor for one, factor in factors.items()}.get(plain(unit))
     if factor is None:
-        allowed = ", ".join((si, *OTHER_UNITS.get(si, {}))) if si else "none"
+        allowed = ", ".join(factors) if si else "none"
         raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
     return factor
 

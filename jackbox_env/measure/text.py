@@ -1,4 +1,4 @@
-"""Text files of numbers as trackers, loggers and spreadsheets write them: encoding, delimiter, row of headers.
+"""Text files of numbers as trackers, loggers and spreadsheets write them: encoding, delimiter, headers, units.
 
 A file is read if its form is certain; otherwise a sentence names the form. :mod:`jackbox_env.measure.tables` turns its
 cells into numbers.
@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
+import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
 
-from jackbox_env.measure.units import KNOWN, plain
-
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-MISSING = {"", "-", "--", "?", "na", "n/a", "#n/a", "<na>", "nan", "null", "none"}  # in lower case
-NUMBER = re.compile(r"\s*[-+\u2212]?(\d+\.?|\d*[.,]\d+)([eE][-+]?\d+)?\s*", re.ASCII)
+_MISSING = r"|--?|\?|#?n/?a|<na>|nan|null|none"  # no number
+NUMBER = re.compile(r"\s*[-+\u2212]?(\d+\.?|\d*[.,]\d+)(e[-+]?\d+)?\s*", re.ASCII | re.IGNORECASE)
+VALUE = re.compile(rf"{NUMBER.pattern}|\s*({_MISSING})\s*", re.ASCII | re.IGNORECASE)
 _COMMENT = re.compile(r"\s*(#|%|//|sep=.\s*$)", re.IGNORECASE)
 _TRIED = 200  # lines that show the delimiter
+_TURN = 2.0 * math.pi  # [rad]
+_DEGREE = _TURN / 360.0  # [rad]
+OTHER_UNITS = {  # in SI units, by the SI unit
+    "s": {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "seconds": 1.0},
+    "m": {"cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
+    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
+    "rad": {"deg": _DEGREE, "°": _DEGREE, "mrad": 1e-3, "degrees": _DEGREE, "turns": _TURN, "rev": _TURN},
+    "rad/s": {"deg/s": _DEGREE, "°/s": _DEGREE, "rpm": _TURN / 60.0, "rev/s": _TURN},
+    "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3, "kNm": 1e3},
+    "N s": {},
+}
 
 
 def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, int, tuple[str, ...]]:
@@ -41,15 +53,17 @@ def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, i
     index = _header([row for _, row in rows])
     if index is None:
         rows, index = [*_commented(path, comments, rows, delimiter), *rows], 0
-    if rows and all(map(_is_value, rows[0][1])):
+    if rows and all(map(VALUE.fullmatch, rows[0][1])):
         raise ValueError(f"{path}, row {rows[0][0]}: must have names of columns, got {', '.join(rows[0][1])[:80]}")
     if rows and rows[0][1][0].strip() == "scorer":
-        form = "this is a table of DeepLabCut, of frames and pixels"
-        raise ValueError(f"{path}, row 1: {form}; write one row of headers, a column time, and positions in a unit")
+        raise ValueError(
+            f"{path}, row 1: this is a table of DeepLabCut, of frames and pixels; write one row of headers, a column "
+            "time, and positions in a unit"
+        )
     headers, used = _joined([row for _, row in rows[: index + 1]])
     before = ", ".join(f"row {line}" for line, _ in rows[: max(0, index + 1 - used)])
-    notes = (f"left out, because it is before the headers: {before}",) if before else ()
     lines, cells = [line for line, _ in rows[index + 1 :]], [row for _, row in rows[index + 1 :]]
+    notes = (f"left out, because it is before the headers: {before}",) * bool(before)
     return headers, lines, cells, delimiter, rows[index][0] if rows else 1, notes
 
 
@@ -79,10 +93,6 @@ def _split(path: Path, text: Iterable[str], delimiter: str) -> list[tuple[int, l
 # -- headers -----------------------------------------------------------------------------------------------------------
 
 
-def _is_value(cell: str) -> bool:
-    return NUMBER.fullmatch(cell) is not None or cell.strip().lower() in MISSING
-
-
 def _width(rows: Sequence[Sequence[str]]) -> int:
     """The usual number of cells, without empty ones at the end."""
     widths = Counter(max((n for n, cell in enumerate(row, start=1) if cell.strip()), default=0) for row in rows)
@@ -93,7 +103,7 @@ def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
     """How well a delimiter fits that makes several columns: headers, shares of usual rows and of values in them."""
     width, index = _width(rows), _header(rows)
     usual = [row for row in rows[(index or 0) + 1 :] if len(row) >= width > 1]
-    values = [_is_value(cell) for row in usual for cell in row]
+    values = [VALUE.fullmatch(cell) is not None for row in usual for cell in row]
     return bool(usual) and index is not None, len(usual) / max(1, len(rows)), sum(values) / max(1, len(values))
 
 
@@ -101,10 +111,10 @@ def _header(rows: Sequence[Sequence[str]]) -> int | None:
     """The last row of text before the first row of numbers; None if there is none."""
     width = _width(rows)
     for first, row in enumerate(rows):
-        if all(map(_is_value, row)):
+        if all(map(VALUE.fullmatch, row)):
             return None
         if len(row) >= width and not any(map(NUMBER.fullmatch, row)):
-            texts = (not (any(map(NUMBER.fullmatch, one)) or all(map(_is_value, one))) for one in rows[first:])
+            texts = (not (any(map(NUMBER.fullmatch, one)) or all(map(VALUE.fullmatch, one))) for one in rows[first:])
             return first + next((n for n, is_text in enumerate(texts) if not is_text), 1) - 1
     return None
 
@@ -124,8 +134,9 @@ def _joined(levels: Sequence[Sequence[str]]) -> tuple[list[str], int]:
     Units below names are added, and groups above names that come twice.
     """
     above, names = ([], [], *levels)[-2:]
-    named = [name for name in names if name.strip()]
-    if above and _are_units(named):
+    named = [name.strip() for name in names if name.strip()]
+    known = [plain(name.strip("[]()")) in KNOWN for name in named]
+    if above and known[0] and 2 * sum(known) > len(known):
         units = [unit.strip().strip("[]()") for unit in (*names, *[""] * len(above))]
         return [f"{name} [{unit}]" if unit else name for name, unit in zip(above, units, strict=False)], 2
     if not above or len({*named}) == len(named):
@@ -134,7 +145,25 @@ def _joined(levels: Sequence[Sequence[str]]) -> tuple[list[str], int]:
     return [f"{group} {name}".strip() if name.strip() else "" for group, name in zip(groups, names, strict=False)], 2
 
 
-def _are_units(cells: Sequence[str]) -> bool:
-    """Whether most cells are units, the first one too."""
-    known = [plain(cell.strip().strip("[]()")) in KNOWN for cell in cells]
-    return known[0] and 2 * sum(known) > len(known)
+# -- units in headers --------------------------------------------------------------------------------------------------
+
+
+def plain(unit: str) -> str:
+    """A unit as it is compared: one kind of mu, no spaces and no signs of multiplication."""
+    return re.sub(r"[\s·⋅*]", "", unicodedata.normalize("NFKC", unit))
+
+
+KNOWN = {plain(unit) for si, others in OTHER_UNITS.items() for unit in (si, *others)}
+
+
+def parts(header: str, names: Collection[str] = ()) -> tuple[str, str | None]:
+    """Name and unit of ``x_box [mm]``, ``x_box (mm)`` and ``x_box / mm``; None without a unit.
+
+    What is in parentheses or after a slash is a unit if it is known as one, or follows one of the names.
+    """
+    header = header.strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|/\s*(.+))", header)
+    if match is None:
+        return header, None
+    name, unit = match[1], next(text for text in match.groups()[1:] if text is not None)
+    return (name, unit.strip()) if match[2] is not None or name in names or plain(unit) in KNOWN else (header, None)

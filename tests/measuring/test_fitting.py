@@ -114,14 +114,10 @@ def test_rest_is_excluded_and_counted() -> None:
 
 def test_a_start_that_cannot_be_followed_is_refused() -> None:
     states, torques, _ = recorded()
-    sentence = (
-        "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive, or "
-    )
+    sentence = "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive, or "
     with pytest.raises(ValueError, match=sentence):
         fit(Recording(states, -torques, DT), ("jack_mass", "restitution"), START)
-    with pytest.raises(
-        ValueError, match=r"gravity and drive, or the noise, which may be larger than given"
-    ):
+    with pytest.raises(ValueError, match=r"gravity and drive, or the noise, which may be larger than given"):
         fit(Recording(states, None, DT), ("jack_mass",), START.changed(drive=Chirp()), noise=1e-9)
 
 
