@@ -29,49 +29,73 @@ _IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    text = (
-        "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
-        "from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
-        "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help=(
+            "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
+            "from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
+            "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
+        ),
     )
-    parser.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help=text)
-    text = (
-        "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution"
-        f"; default: {' '.join(_FIELDS)}"
+    parser.add_argument(
+        "--fields",
+        nargs="+",
+        default=_FIELDS,
+        metavar="FIELD",
+        help=(
+            "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution"
+            f"; default: {' '.join(_FIELDS)}"
+        ),
     )
-    parser.add_argument("--fields", nargs="+", default=_FIELDS, metavar="FIELD", help=text)
-    text = "headers by the names they stand for: x_jack=ball_x,time=t_ms; a unit may follow, as in time=t [ms]"
-    parser.add_argument("--columns", metavar="NAMES", help=text)
-    text = "y points downwards and angles are clockwise, as in images"
-    parser.add_argument("--y-down", action="store_true", help=text)
+    parser.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="headers by the names they stand for: x_jack=ball_x,time=t_ms; a unit may follow, as in time=t [ms]",
+    )
+    parser.add_argument(
+        "--y-down", action="store_true", help="y points downwards and angles are clockwise, as in images"
+    )
     text = (
         "what turns the box in files without a column torque: drive, the scene's, a chirp unless --scene has another; "
+        "or none"
     )
-    text += "or none"
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
     text = (
         "whether each torque in the files was held to the next row, or is a sample of one that changes; default: held, "
+        "and a note if samples fit better"
     )
-    text += "and a note if samples fit better"
     parser.add_argument("--torque-column", choices=("held", "sampled"), help=text)
     text = (
         "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
+        "in the folder of the files, with the options of single fields"
     )
-    text += "in the folder of the files, with the options of single fields"
     add_scene_options(parser.add_argument_group("scene", text))
     text = (
         """standard deviation of what was observed: a number, or by name, e.g. '{"x_jack": 0.01, "impacts": 0.001}'"""
     )
     parser.add_argument("--noise", metavar="JSON", help=f"{text}; default: estimated")
-    text = (
-        "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or an "
-        "npz file of jackbox simulate"
+    parser.add_argument(
+        "--impacts",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help=(
+            "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or an "
+            "npz file of jackbox simulate"
+        ),
     )
-    parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="FILE", help=text)
-    text = "also write fit.html: recordings against the fit, and residuals, in one page that any browser opens"
-    parser.add_argument("--html", action="store_true", help=text)
-    text = "new folder for the page, with --html; default: runs/fit-<date>-<time>"
-    parser.add_argument("--folder", type=Path, help=text)
+    parser.add_argument(
+        "--html",
+        action="store_true",
+        help="also write fit.html: recordings against the fit, and residuals, in one page that any browser opens",
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="new folder for the page, with --html; default: runs/fit-<date>-<time>"
+    )
     return parser.parse_args()
 
 

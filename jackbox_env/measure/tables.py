@@ -176,8 +176,8 @@ def _chosen(
             others = "; --columns (in Python names=) reads other headers" * (units is UNITS)
             what = "comes twice" if name in chosen else f"must be one of {allowed}{others}"
             raise ValueError(f"{table.header()} {check.shown(header)} {what}")
-        factor = _factor(table, header, unit, parts(names.get(name, ""), units)[1], units[name])
-        chosen[name] = header, factor, values
+        of_names = parts(names.get(name, ""), units)[1]
+        chosen[name] = header, _factor(table, header, unit, of_names, units[name]), values
     return chosen, left_out
 
 
@@ -196,8 +196,7 @@ def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
 def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Array:
     """The numbers of a column; NaN for an empty cell or a marker like NA."""
     if table.lines is not None:
-        point = "," if decimal_commas else "."
-        cells = [cell.strip().replace("\u2212", "-").replace(point, ".") for cell in values]
+        cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
         read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
         for line, cell in enumerate(cells):
             if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):

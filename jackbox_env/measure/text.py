@@ -95,8 +95,8 @@ def _split(path: Path, text: Iterable[str], delimiter: str) -> list[tuple[int, l
 
 def _width(rows: Sequence[Sequence[str]]) -> int:
     """The usual number of cells, without empty ones at the end."""
-    widths = Counter(max((n for n, cell in enumerate(row, start=1) if cell.strip()), default=0) for row in rows)
-    return widths.most_common(1)[0][0] if widths else 0
+    widths = (max((n for n, cell in enumerate(row, start=1) if cell.strip()), default=0) for row in rows)
+    return max(Counter(widths).most_common(1), default=(0, 0))[0]
 
 
 def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
