@@ -35,8 +35,8 @@ def _arguments() -> argparse.Namespace:
         type=Path,
         metavar="FILE",
         help=(
-            "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
-            "from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
+            "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, "
+            "held from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
             "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
         ),
     )
@@ -46,8 +46,8 @@ def _arguments() -> argparse.Namespace:
         default=_FIELDS,
         metavar="FIELD",
         help=(
-            "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution"
-            f"; default: {' '.join(_FIELDS)}"
+            "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, "
+            f"restitution; default: {' '.join(_FIELDS)}"
         ),
     )
     parser.add_argument(
@@ -84,8 +84,8 @@ def _arguments() -> argparse.Namespace:
         default=[],
         metavar="FILE",
         help=(
-            "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or an "
-            "npz file of jackbox simulate"
+            "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or "
+            "an npz file of jackbox simulate"
         ),
     )
     parser.add_argument(
