@@ -36,8 +36,8 @@ def _arguments() -> argparse.Namespace:
         metavar="FILE",
         help=(
             "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, "
-            "held from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
-            "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
+            "held from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers "
+            "may have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
         ),
     )
     parser.add_argument(

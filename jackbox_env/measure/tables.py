@@ -167,7 +167,7 @@ def _chosen(
     for header, values in table.columns:
         bare, unit = parts(header, units)
         name = by_text.get(header.strip(), by_text.get(bare, ""))
-        if (names or not strict) and not name and (bare not in units or bare in names):
+        if not name and (not bare or ((names or not strict) and (bare not in units or bare in names))):
             left_out.append(header)
             continue
         name = name or bare

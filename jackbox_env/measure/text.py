@@ -113,7 +113,7 @@ def _header(rows: Sequence[Sequence[str]]) -> int | None:
     for first, row in enumerate(rows):
         if all(map(VALUE.fullmatch, row)):
             return None
-        if len(row) >= width and not any(map(NUMBER.fullmatch, row)):
+        if _width([row]) >= width and not any(map(NUMBER.fullmatch, row)):
             texts = (not (any(map(NUMBER.fullmatch, one)) or all(map(VALUE.fullmatch, one))) for one in rows[first:])
             return first + next((n for n, is_text in enumerate(texts) if not is_text), 1) - 1
     return None

@@ -70,6 +70,7 @@ CASES = [
         "decimal_commas_between_commas.csv",
         refused="row 2: must have 2 cells like row 1, with commas between and points in numbers, got 4",
     ),
+    Case("decimal_commas_version.csv", columns="time=time", notes=(left_out("version"),)),
     Case("thousands.csv", refused="commas must be in all decimal numbers or in none, and in no thousands, got '1,500'"),
     Case("points_and_commas.csv", refused="must be in all decimal numbers or in none, and in no thousands, got '-1,25"),
     Case("trailing.csv", TORQUES, columns="time=time"),
@@ -82,6 +83,7 @@ CASES = [
     Case("savetxt_commas.csv"),
     Case("no_headers.csv", refused="row 1: must have names of columns, got 0, 0.5"),
     Case("preamble.csv", TORQUES, notes=(before("row 1, row 2, row 3"),)),
+    Case("labview.lvm", columns="time=X_Value", notes=(before("row 1, row 2, row 3"), left_out("Comment"))),
     Case("units_row.csv", TORQUES),
     Case("units_row_bare.csv", TORQUES),
     Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(before("row 1"),)),
@@ -110,6 +112,7 @@ CASES = [
     # Columns that are left out.
     Case("left_out.csv", TORQUES, columns="time=time", notes=(left_out("clock, note, note"),)),
     Case("left_out.csv", refused="row 1: column 'clock' must be one of time [s], x_box [m], "),
+    Case("pandas_index.csv"),
     Case("frame.csv", columns="time=time", notes=(left_out("frame"),)),
     Case("frame.csv", refused="torque [N m]; --columns (in Python names=) reads other headers"),
     # Units.
@@ -119,6 +122,7 @@ CASES = [
     Case("unknown_parentheses.csv", refused="column 'x_jack (furlongs)' must be in one of the units m, cm, mm, "),
     Case("word_in_parentheses.csv", columns=BALL, refused="must be in one of the units m, cm, mm, um, µm, got 'left'"),
     Case("word_in_parentheses.csv", columns=f"{BALL} [m]"),
+    Case("vernier.csv", columns="time=Latest: Time,x_jack=Latest: Position"),
     Case("two_units.csv", columns="x_jack=x (mm)", notes=(left_out("x (px)"),)),
     Case("two_units.csv", columns="x_jack=x", notes=(left_out("x (px)"),)),
     Case("empty_unit.csv", refused="column 'x_jack []' must be in one of the units m, cm, mm, um, µm, got ''"),
