@@ -102,9 +102,10 @@ def _width(rows: Sequence[Sequence[str]]) -> int:
 def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
     """How well a delimiter fits that makes several columns: headers, shares of usual rows and of values in them."""
     width, index = _width(rows), _header(rows)
-    usual = [row for row in rows[(index or 0) + 1 :] if len(row) >= width > 1]
+    below = rows[(index or 0) + 1 :]
+    usual = [row for row in below if len(row) >= width > 1]
     values = [VALUE.fullmatch(cell) is not None for row in usual for cell in row]
-    return bool(usual) and index is not None, len(usual) / max(1, len(rows)), sum(values) / max(1, len(values))
+    return bool(usual) and index is not None, len(usual) / max(1, len(below)), sum(values) / max(1, len(values))
 
 
 def _header(rows: Sequence[Sequence[str]]) -> int | None:
