@@ -150,8 +150,8 @@ def _gaps(steps: Array, rounding: float) -> Array:
     certain = len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING
     for gaps in () if certain else (np.ones(len(steps)), fewer):
         rows, times = np.cumsum(gaps), np.cumsum(steps)
-        dt, begin = np.polyfit(rows, times, 1)
-        if gaps.min() > 0.0 and abs(times - begin - dt * rows).max() < EVEN * dt + 0.5 * rounding:
+        dt = np.polyfit(rows, times, 1)[0]
+        if gaps.min() > 0.0 and np.ptp(times - dt * rows) < 2.0 * EVEN * dt + rounding:
             return gaps
     return np.asarray(most)
 
