@@ -328,7 +328,7 @@ def test_a_duration_that_is_no_multiple_of_dt_ends_with_a_shorter_step() -> None
     assert simulate(duration=1e-9, fidelity="balanced", torque=[3.0]).t.tolist() == [0.0, 1e-9]
 
 
-def test_a_pickled_motion_has_its_own_size() -> None:
+def test_a_pickled_motion_is_small() -> None:
     motion = simulate({"drive": None}, duration=1.1, torque=0.0)
     assert len(pickle.dumps(motion)) < 30_000
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(motion)).restart(0).t, motion.restart(0).t)
