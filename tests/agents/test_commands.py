@@ -77,7 +77,7 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
         impacts = list(csv.DictReader(file))
     names = list(impacts[0])
     assert names[:5] == ["time [s]", "wall", "foot", "impulse [N s]", "before x_box [m]"]
-    assert (names[-1], len(names)) == ("after omega_jack [rad/s]", 4 + 2 * 12)
+    assert (names[-2:], len(names)) == (["after omega_jack [rad/s]", "resting"], 4 + 2 * 12 + 1)
     known = reference["impacts"][:3]
     assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
     np.testing.assert_allclose([float(row["time [s]"]) for row in impacts], [hit["time"] for hit in known], atol=1e-9)
