@@ -116,7 +116,7 @@ class Record:
         return Knots(times, states, arrived[1:], number[order], np.append(ended[1:], False))
 
     def refuse_no_states(self, needed: str = "") -> None:
-        """Raise ValueError unless there are states between control steps; ``needed`` says what needs them."""
+        """Raise ValueError unless there are states between control steps; ``needed``: what needs them."""
         if "before" not in (self.impacts.dtype.names or ()):
             raise ValueError(f"{needed}this motion has states at the ends of control steps only: {ONLY_EXACT}")
 
