@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jackbox_env.measure.accuracy import Case, pose_errors, prefix_errors
-from jackbox_env.measure.tables import read_rows
+from jackbox_env.measure.text import read_rows
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.model.states import (
@@ -213,7 +213,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
             decrease or are not within the case.
     """
     table: Table = {}
-    head, lines, rows_of_file = read_rows(path)
+    head, lines, rows_of_file, *_ = read_rows(path)
     if tuple(head) != tuple(columns):
         raise ValueError(f"{path} must begin with the columns {','.join(columns)}, got {check.shown(','.join(head))}")
     for number, (name, *cells) in zip(lines, rows_of_file, strict=True):

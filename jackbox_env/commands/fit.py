@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,38 +29,73 @@ _IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    text = "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, held "
-    text += "from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers may "
-    text += "have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
-    parser.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help=text)
-    text = "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, restitution"
-    text += f"; default: {' '.join(_FIELDS)}"
-    parser.add_argument("--fields", nargs="+", default=_FIELDS, metavar="FIELD", help=text)
-    text = "headers by the names they stand for: x_jack=ball_x,time=t_ms; a unit may follow, as in time=t [ms]"
-    parser.add_argument("--columns", metavar="NAMES", help=text)
-    text = "y points downwards and angles are clockwise, as in images"
-    parser.add_argument("--y-down", action="store_true", help=text)
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help=(
+            "files of one scene: time, any of the 12 numbers of a state (an empty cell: not observed), and torque, "
+            "held from each row to the next; the scene's drive acts if there is none, or if it is the drive's; headers "
+            "may have units, as in x_jack [mm], theta_box [deg], time [ms]; or npz files of jackbox simulate"
+        ),
+    )
+    parser.add_argument(
+        "--fields",
+        nargs="+",
+        default=_FIELDS,
+        metavar="FIELD",
+        help=(
+            "what to fit: gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm, box_half_width, "
+            f"restitution; default: {' '.join(_FIELDS)}"
+        ),
+    )
+    parser.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="headers by the names they stand for: x_jack=ball_x,time=t_ms; a unit may follow, as in time=t [ms]",
+    )
+    parser.add_argument(
+        "--y-down", action="store_true", help="y points downwards and angles are clockwise, as in images"
+    )
     text = (
         "what turns the box in files without a column torque: drive, the scene's, a chirp unless --scene has another; "
+        "or none"
     )
-    text += "or none"
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
     text = (
-        "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
+        "whether each torque in the files was held to the next row, or is a sample of one that changes; default: held, "
+        "and a note if samples fit better"
     )
-    text += "in the folder of the files, with the options of single fields"
+    parser.add_argument("--torque-column", choices=("held", "sampled"), help=text)
+    text = (
+        "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
+        "in the folder of the files, with the options of single fields"
+    )
     add_scene_options(parser.add_argument_group("scene", text))
     text = (
         """standard deviation of what was observed: a number, or by name, e.g. '{"x_jack": 0.01, "impacts": 0.001}'"""
     )
     parser.add_argument("--noise", metavar="JSON", help=f"{text}; default: estimated")
-    text = "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or an "
-    text += "npz file of jackbox simulate"
-    parser.add_argument("--impacts", nargs="+", type=Path, default=[], metavar="FILE", help=text)
-    text = "also write fit.html: recordings against the fit, and residuals, in one page that any browser opens"
-    parser.add_argument("--html", action="store_true", help=text)
-    text = "new folder for the page, with --html; default: runs/fit-<date>-<time>"
-    parser.add_argument("--folder", type=Path, help=text)
+    parser.add_argument(
+        "--impacts",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help=(
+            "times at which impacts were heard: for each recording a file with the column time, like impacts.csv, or "
+            "an npz file of jackbox simulate"
+        ),
+    )
+    parser.add_argument(
+        "--html",
+        action="store_true",
+        help="also write fit.html: recordings against the fit, and residuals, in one page that any browser opens",
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="new folder for the page, with --html; default: runs/fit-<date>-<time>"
+    )
     return parser.parse_args()
 
 
@@ -67,8 +103,9 @@ def _arguments() -> argparse.Namespace:
 
 
 def read_recording(
-    path: Path, scene: Scene, impacts: Path | None = None, names: Mapping[str, str] | None = None, y_down: bool = False
-) -> Recording:
+    path: Path, scene: Scene, impacts: Path | None = None, names: Mapping[str, str] | None = None, y_down: bool = False,
+    torque: str = "held",
+) -> Recording:  # fmt: skip
     """The recording of a CSV or npz file, and of another with the times of impacts that were heard.
 
     Raises:
@@ -80,9 +117,11 @@ def read_recording(
     heard = None
     if impacts is not None:
         table = read_table(impacts, "impact_time")
-        heard_columns = [column for column in table.columns if not column[0].startswith(("before ", "after "))]
+        heard_columns = [
+            column for column in table.columns if not column[0].startswith(("before ", "after ", "resting"))
+        ]
         heard = filled(table, "time", in_si_units(table._replace(columns=heard_columns), _IMPACTS)[0]["time"])
-    return Recording.from_table(read_table(path, "state"), scene, names, y_down, heard)
+    return Recording.from_table(read_table(path, "state"), scene, names, y_down, heard, torque)
 
 
 def column_names(text: str | None) -> dict[str, str]:
@@ -155,13 +194,19 @@ def main() -> None:
     start, noise = Scene.of({**stored, **chosen_scene(arguments.scene, arguments)}), _noise(arguments.noise)
     start = start.changed(drive=None) if arguments.torque == "none" else start
     impacts = arguments.impacts or [None] * len(paths)
-    recordings: list[Recording] = []
     names = column_names(arguments.columns)
-    for path, heard in zip(paths, impacts, strict=True):
-        recordings.append(read_recording(path, start, heard, names, arguments.y_down))
-        for note in recordings[-1].notes:
+
+    def read(torque: str) -> list[Recording]:
+        return [
+            read_recording(path, start, heard, names, arguments.y_down, torque)
+            for path, heard in zip(paths, impacts, strict=True)
+        ]
+
+    recordings = read(arguments.torque_column or "held")
+    for path, recording in zip(paths, recordings, strict=True):
+        for note in recording.notes:
             print(f"{path}: {note}.", file=sys.stderr)
-        if arguments.torque == "none" and recordings[-1].torques is not None:
+        if arguments.torque == "none" and recording.torques is not None:
             raise ValueError(f"{path}: --torque none is for files without a column torque")
     if stored:
         file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
@@ -177,6 +222,11 @@ def main() -> None:
     result = fit(recordings, arguments.fields, start, noise=noise, progress=True)
     print(f"... took {time.perf_counter() - began:.1f} s", file=sys.stderr)
     print(_printed(table_of(result, start)), *sentences(result, recordings), sep="\n")
+    if not (result.converged or arguments.torque_column) and any(one.torques is not None for one in recordings):
+        with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow
+            other = fit(read("sampled"), arguments.fields, start, noise=noise)
+            if (other.converged, -other.left_out) > (result.converged, -result.left_out):
+                print("The torques fit better as samples: --torque-column sampled.", file=sys.stderr)
     if arguments.html:
         titles = [str(path) for path in paths]
         new_folder(folder, "fit", lambda new: write_fit_page(new / "fit.html", result, start, recordings, titles))

@@ -51,7 +51,7 @@ def motion_figures(motion: Motion, folder: Path) -> list[Path]:
         for axes, (column, label) in zip(rows, columns, strict=True):
             _draw_column(axes, motion, column, color)
             axes.set_ylabel(label)
-        rows[0].set_title(f"{title}; thin lines: {len(motion.impacts)} impacts")
+        rows[0].set_title(f"{title}; thin lines: {motion.impact_count} impacts")
         rows[-1].set_xlabel("time [s]")
         figure.align_ylabels(rows)
         paths.append(write_figure(figure, folder / f"{name}.png"))

@@ -30,14 +30,18 @@ def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
     text = "simulated time [s]; default: 10, or as long as the FILE of --torque"
     parser.add_argument("--seconds", type=float, metavar="S", help=text)
-    text = "on the box: chirp, the scene's drive; none; or a FILE with one for each control step, the column torque of "
-    text += "a CSV file, with a unit as in torque [kN m], or the array torque of an npz file, as this command writes "
-    text += "them; default: chirp"
+    text = (
+        "on the box: chirp, the scene's drive; none; or a FILE with one for each control step, the column torque of "
+        "a CSV file, with a unit as in torque [kN m], or the array torque of an npz file, as this command writes "
+        "them; default: chirp"
+    )
     parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
     add_model_options(parser)
     start = parser.add_argument_group("start")
-    text = "what to start from: numbers by name, e.g. x_jack=1,omega_jack=3, or all 12 as a JSON list, e.g. a row of "
-    text += "states.csv; default: all 0"
+    text = (
+        "what to start from: numbers by name, e.g. x_jack=1,omega_jack=3, or all 12 as a JSON list, e.g. a row of "
+        "states.csv; default: all 0"
+    )
     start.add_argument("--state", default="", metavar="NAME=N,...", help=text)
     text = "time at the start [s], which the drive sees; default: 0"
     start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
@@ -88,6 +92,7 @@ def _torques(path: Path, dt: float) -> Array:
     Raises:
         ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
     """
+    from jackbox_env.measure.columns import rounding_of
     from jackbox_env.measure.tables import filled, in_si_units, read_table
 
     if not path.is_file():
@@ -100,11 +105,11 @@ def _torques(path: Path, dt: float) -> Array:
     torques = filled(table, "torque", torques[:-1] if np.isnan(torques[-1:]).any() else torques)
     if not len(torques):
         raise ValueError(f"{path}: there must be a torque of one control step at least")
-    times = columns.get("time", torques[:0])[: len(torques)]
-    steps = np.diff(filled(table, "time", times))
-    uneven = abs(steps - dt) > _STEP_TOLERANCE * dt + 4.0 * np.spacing(abs(times).max(initial=0.0))
-    if uneven.any():
-        raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {steps[uneven][0]:g} s; choose another --dt")
+    times = filled(table, "time", columns.get("time", torques[:0])[: len(torques)])
+    late = times - times[:1] - dt * np.arange(len(times))
+    if len(late) > 1 and np.ptp(late) > _STEP_TOLERANCE * dt * len(late) + 0.98 * rounding_of(times):
+        step = np.diff(times)[abs(np.diff(late)).argmax()]
+        raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {step:g} s; choose another --dt")
     return torques
 
 
@@ -114,7 +119,7 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
     Raises:
         ValueError: a duration that cannot be simulated; a file that is unusable or shorter.
     """
-    from jackbox_env.recording.simulation import steps_of
+    from jackbox_env.recording.recorder import steps_of
 
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):
@@ -142,6 +147,8 @@ def _refuse_impossible(arguments: argparse.Namespace) -> None:
 
         check.real("seconds of a film", arguments.seconds, at_most=_LONGEST_FILM)
         check_film(arguments.film)
+        if arguments.film.absolute() in (folder := arguments.folder.absolute(), *folder.parents):
+            raise ValueError(f"film must be another path than folder, got {check.shown(str(arguments.film))}")
     check_new(arguments.folder)
 
 
@@ -194,7 +201,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{len(motion.impacts)} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
+    print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
     for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")
     if motion.failure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import checked_reward
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
+
+_new: Callable[..., ControlStep] = tuple.__new__
 
 
 class ControlStep(NamedTuple):
@@ -74,11 +76,12 @@ def _control_step(
     if controls is not None:
         share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
         torque = share * simulator.scene.torque_limit
-    stored, time, mean, impacts = simulator.advance(dt, torque)
+    stored, time, mean, impacts = simulator.step_checked(dt, torque)
     state, impulse = np.array(stored), total_impulse(impacts) if impacts else 0.0
     observation, terms, over = functions.judge(state, time, mean, impulse, seen)
     reward = checked_reward(functions.nouns.task, terms)
-    return ControlStep(state, time, mean, impacts, impulse, terms, reward, over, observation)
+    # Twice as fast as ControlStep(...).
+    return _new(ControlStep, (state, time, mean, impacts, impulse, terms, reward, over, observation))
 
 
 def added(parts: list[ControlStep]) -> ControlStep:

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.model.action import ACTIONS, Action
-from jackbox_env.model.observation import OBSERVATIONS, STATE, Observation, bad_observation, observation_of, observe
+from jackbox_env.model.observation import (
+    OBSERVATIONS,
+    STATE,
+    Observation,
+    bad_observation,
+    observation_of,
+    observe_named,
+)
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, State
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
@@ -56,7 +63,7 @@ class PlainFunctions:
     """Their functions in a scene, in plain Python."""
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
-        self._scene, self._numbers, self.nouns = scene, scene.numbers, nouns
+        self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """After a step: the observation, the values of the reward's terms, and whether the episode is over.
@@ -69,12 +76,14 @@ class PlainFunctions:
             seen: False: the observation is not wanted, and empty.
         """
         after, over, task = State(*state.tolist()), False, self.nouns.task
-        terms = checked_terms(task, task.values(self._numbers, after, torque, impulse))
+        values = task.values(self._numbers, after, torque, impulse)
+        terms = cast("tuple[float, ...]", values) if self._known else checked_terms(task, values)
         if task.over is not None:
             over = task.over(self._numbers, after, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return self.observe(state, time) if seen else _NOTHING, terms, bool(over)
+        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else _NOTHING
+        return observation, terms, bool(over)
 
     def observe(self, state: Array, time: float) -> Seen:
         """The observation of a state, shape (12,), at a time [s].
@@ -83,7 +92,7 @@ class PlainFunctions:
             TypeError: the function of a user's observation returns a wrong type.
             TaskError: a number is NaN.
         """
-        return observe(self._scene, state.tolist(), time, self.nouns.observation)
+        return observe_named(self._numbers, State(*state.tolist()), time, self.nouns.observation)
 
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:
         """The torque over its limit, not clipped; arguments as of ``Action.share``."""
@@ -100,19 +109,18 @@ class CompiledFunctions:
     def __init__(self, scene: Scene, nouns: Nouns, calls: tuple[Any, ...] | None = None) -> None:
         self._scene, self.nouns = scene, nouns
         self._calls = calls or _calls_of(nouns)
-        self._judge, self._observe, self._share, *_, self._observer, self._scorer = self._calls
+        self._judge, self._observe, self._share, *_ = self._calls
         self._numbers, self._names = np.array(scene.numbers), len(nouns.observation.names)
         self._terms = np.empty(len(nouns.task.terms))  # written by each call
+        self._memory, self._address = self._calls[-1](self._numbers, self._terms)  # of the arguments of judge
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """As :meth:`PlainFunctions.judge`."""
-        observation = np.empty(self._names, dtype=np.float32) if seen else _NOTHING
-        over = self._judge(
-            self._numbers, state, time, torque, impulse, observation, self._terms, self._observer, self._scorer
-        )
+        observation = np.empty(self._names, np.float32) if seen else _NOTHING
+        over = self._judge(self._address, state, time, torque, impulse, observation)
         if over < 0:
             raise self._bad_observation(state, time)
         return observation, self._terms.tolist(), over > 0
@@ -207,12 +215,19 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
 
 def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
     """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
-    from jackbox_env.exact.compiler import address_of, compiled
-    from jackbox_env.exact.score import act_one, judge, observe_one, row_observer, row_scorer, score_one
+    from jackbox_env.exact.compiler import PACKED, address_of, compiled
+    from jackbox_env.exact.score import act_one, judge, observe_one, pack_judged, row_observer, row_scorer, score_one
 
     observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
     act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
-    return compiled(judge), observe, act, score, address_of(observe, row_observer), address_of(score, row_scorer)
+    addresses = address_of(observe, row_observer), address_of(score, row_scorer)
+
+    def pack(numbers: Array, terms: Array) -> tuple[Array, int]:
+        """Memory with the arguments of ``judge``, and its address."""
+        memory = np.zeros(PACKED)
+        return memory, compiled(pack_judged)(memory, numbers, terms, *addresses)
+
+    return compiled(judge), observe, act, score, pack
 
 
 def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -375,13 +375,14 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
                 controls = self.nouns.action.checked(action)[:, 0]
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
-        most = min(self._most, self._limit - self.elapsed_steps)
+        left = self._limit - self.elapsed_steps
+        most = self._most if self._most < left else left
         if most <= 0:
             raise gym.error.ResetNeeded(f"step must come after a reset, as the episode has had its {self._limit} steps")
-        simulator = self._simulator
+        simulator, functions = self._parts
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            parts = decide(*self._parts, self._dt, torque, controls, most, self.repeat.max_contact_steps)
+            parts = decide(simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps)
         except BaseException:
             if before is not None:
                 simulator.restore(before)
@@ -452,11 +453,12 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     def _info(self, of: ControlStep, steps: int) -> dict[str, Any]:
         """The info of a decision of so many control steps."""
+        state, time, torque, impacts, impulse, terms, *_ = of
         info = {
-            "state": of.state, "time": of.time, "torque": of.torque, "impacts": len(of.impacts), "impulse": of.impulse,
+            "state": state, "time": time, "torque": torque, "impacts": len(impacts), "impulse": impulse,
             "duration": steps * self._dt,
         }  # fmt: skip
-        info.update(zip(self._terms, of.terms, strict=True))
+        info.update(zip(self._terms, terms, strict=True))
         return info if self._randomize is None else info | self._drawn()
 
     def _drawn(self) -> dict[str, Any]:

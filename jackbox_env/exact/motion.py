@@ -42,7 +42,8 @@ def coast(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tole
 def fly(values: Array, kind: int, moments: Moments, states: Array, workspaces: Workspaces, log: Array) -> int:
     """Fill in the states, shape (n, 12), after flight from each start; return the first row that failed, or -1.
 
-    Compiled with :func:`coast` for ``advance``. ``log`` has shape (1, 1), and is scratch.
+    Compiled with :func:`coast` for ``advance``; without, it makes steps, in which feet may rest. ``log`` is scratch, of
+    shape (rows, 4).
     """
     scene, memory = make_numbers(values), workspaces[0]
     for i in range(states.shape[0]):

@@ -139,15 +139,15 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         act = block_actor(call.rules.act)
         return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
-    own, usable = step_controls[block.first : block.first + block.size], 0
+    here, usable = step_controls[block.first : block.first + block.size], 0
     if call.rules.kind == SHARES:
         for lane in range(block.size):
-            torque[lane] = max(-1.0, min(1.0, own[lane])) * limit[lane]
+            torque[lane] = max(-1.0, min(1.0, here[lane])) * limit[lane]
     else:
         for lane in range(block.size):
-            torque[lane] = own[lane]
+            torque[lane] = here[lane]
     for lane in range(block.size):
-        usable += 1 if abs(own[lane]) < math.inf else 0
+        usable += 1 if abs(here[lane]) < math.inf else 0
     return -1 if usable == block.size else first_unusable(block, step_controls)
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.compiler import called_at, fixed_tuple
+from jackbox_env.exact.compiler import called_at, fixed_tuple, packed, unpacked_as
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import APPLIED, HITS, IMPULSE_SUM, OVER, TIME, TORQUE, make_numbers
 from jackbox_env.model.landing import at_landing, landing_features
@@ -248,21 +248,43 @@ def score_one(values: Array, state: Array, torque: float, impulse: float, terms:
     return task_over(scene, named, torque, impulse)
 
 
-def judge(
-    values: Array, state: Array, time: float, torque: float, impulse: float, observation: Floats, terms: Array,
-    observer: Any, scorer: Any,
-) -> int:  # fmt: skip
+class JudgedScene(NamedTuple):
+    """What :func:`judge` reads and writes for the states of one scene."""
+
+    values: Array  # the scene's numbers
+    terms: Array  # of the reward, to be written
+    observer: Any  # address of ``observe_one``
+    scorer: Any  # address of :func:`score_one`
+
+
+def example() -> JudgedScene:
+    """Arguments of the types that :func:`judge` is compiled for."""
+    return JudgedScene(np.zeros(1), np.zeros(1), 0, 0)
+
+
+judged_at = unpacked_as(example)
+
+
+def pack_judged(memory: Array, values: Array, terms: Array, observer: Any, scorer: Any) -> Any:
+    """Store the arguments of :func:`judge` in ``memory``; return the address there."""
+    return packed(memory, JudgedScene(values, terms, observer, scorer))
+
+
+def judge(address: Any, state: Array, time: float, torque: float, impulse: float, observation: Floats) -> int:
     """Observe and score one state, in one call from Python.
 
     Args:
+        address: of a :class:`JudgedScene`.
+        state: 12 numbers.
+        time: [s].
+        torque: mean over the step [N m].
+        impulse: of the step's impacts [N s].
         observation: to be written; of length 0: not wanted.
-        terms: to be written.
-        observer: address of ``observe_one``.
-        scorer: address of :func:`score_one`.
 
     Returns:
         1 if the episode is over, 0 if not, -1 if an observation is NaN.
     """
+    values, terms, observer, scorer = judged_at(address)
     over = row_scorer(scorer)(values, state, torque, impulse, terms)
     if observation.shape[0] and not row_observer(observer)(values, state, time, observation):
         return -1

@@ -280,7 +280,7 @@ class Call:
         """Set other arrays for the same scenes and rules. From ``lengths`` on, the results are those of NOTHING."""
         scenes, rules, *_ = self._arguments
         self._arguments = scenes, rules, before, after, controls, results
-        self._pack_again(self._packed, self.address, before, after, controls, *results[:6])
+        self.address = self._pack_again(self._packed, self.address, before, after, controls, *results[:6])
 
     def with_room(self) -> Call:
         """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""

@@ -17,23 +17,26 @@ from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, Array
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
+_USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
+_FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
+_GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
 _LARGEST_STEP = 5.0 * _TURN  # from row to row
 
 
 def evened(
     table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
-    impacts: Array | None = None,
+    impacts: Array | None = None, torque: str = "held",
 ) -> tuple[dict[str, Any], tuple[str, ...]]:  # fmt: skip
     """Arguments of a Recording, and sentences about what was changed.
 
     In SI units and y upwards, with a row for each frame, and angles that do not wrap.
 
     If the torques are the drive's means, the drive acts instead: a constant torque of the same mean would lead
-    elsewhere. Constant torques do not depend on the time, so Unix times then count from the first row.
+    elsewhere. If nothing depends on the time, Unix times count from the first row.
 
     Raises:
         TypeError, ValueError: unusable content; the message names row and column.
@@ -42,7 +45,8 @@ def evened(
     times, rows, dt = _frames(table, columns["time"], scene)
     missing = int(rows[-1]) + 1 - len(rows)
     verb = "is" if missing == 1 else "are"
-    notes = [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
+    named = ", ".join(header for header in left_out if header.strip())
+    notes = [*table.notes, *[f"left out, because no name stands for them: {named}"] * bool(named)]
     notes += [f"{missing} of {rows[-1] + 1} frames {verb} missing, and left open"] * bool(missing)
     states = np.full((int(rows[-1]) + 1, 12), np.nan)
     for index, name in enumerate(STATE_NAMES):
@@ -53,14 +57,29 @@ def evened(
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
-    if torques is not None:
+    if torques is not None and torque == "sampled":
+        torques = np.interp(np.arange(len(states)), rows, filled(table, "torque", torques))
+    elif torques is not None:
         torques = filled(table, "torque", torques[:-1])
         torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
     _refuse_sizes(table, scene, states, dt)
     begin = float(times[0])
-    if torques is not None and abs(times).max() > LATEST_TIME:
+    if abs(times).max() > LATEST_TIME:
+        _refuse_clock(table, scene, begin, torques)
+        notes.append(f"times count from the first row, at {begin:.10g} s")
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
-    return {"states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts}, tuple(notes)
+    return {
+        "states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts, "torque": torque,
+    }, tuple(notes)  # fmt: skip
+
+
+def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | None) -> None:
+    """Raise ValueError for Unix times of a scene whose drive acts."""
+    if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
+        raise ValueError(
+            f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give the "
+            "drive's times; --torque none if nothing turns the box"
+        )
 
 
 def unwrapped(angles: Array) -> tuple[Array, int]:
@@ -89,11 +108,11 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
         raise ValueError(
             f"{table.at(row + 1)}, column time: must increase, got {times[row + 1]:.10g} s after {times[row]:.10g} s"
         )
-    usual = float(np.quantile(steps, 0.2, method="lower"))  # more than every second frame may be missing
-    near = steps[abs(steps / usual - 1.0) < 0.5]
-    dt = float(near.mean())  # rounding of the times shifts a single step
+    spacing = 4.0 * float(np.spacing(abs(times).max()))
+    rounding = rounding_of(times)
+    gaps = _gaps(steps, rounding)
+    dt = float(steps.sum() / gaps.sum())
     _refuse_coarse(table, scene, float(times[-1]), dt)
-    gaps = np.round(steps / dt)
     if gaps.sum() > _MOST_MISSING * len(times):
         raise ValueError(
             f"{table.source}column time: {gaps.sum() + 1 - len(times):g} frames are missing between {len(times)} rows; "
@@ -101,19 +120,40 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
         )
     rows = np.concatenate([[0], np.cumsum(gaps)]).astype(np.int64)
     dt, begin = float(times[-1] - times[0]) / max(int(rows[-1]), 1), float(times[0])
-    rounding = 4.0 * float(np.spacing(abs(times).max()))
-    if abs(times - begin - dt * rows).max() > 1e-6 * dt + rounding:  # rounded times: all of them count
+    if abs(times - begin - dt * rows).max() > 1e-6 * dt + spacing:  # rounded times: all of them count
         dt, shift = (float(number) for number in np.polyfit(rows, times - begin, 1))
         begin += shift
     even = np.float64(begin) + dt * rows.astype(np.float64)
-    uneven = (abs(times - even) > EVEN * dt + rounding) | np.append(False, np.diff(rows) < 1)
+    uneven = (abs(times - even) > EVEN * dt + 0.5 * rounding + spacing) | np.append(False, np.diff(rows) < 1)
     if uneven.any():
+        usual = float(np.quantile(steps, _USUAL, method="lower"))
         row = int(abs(steps / usual - np.round(steps / usual)).argmax())
         raise ValueError(
             f"{table.at(row + 1)}, column time: must increase evenly, to {EVEN:.0%} of a step, by {usual:g} s or a "
             f"multiple where frames are missing, got {steps[row]:g} s"
         )
     return even, rows, dt
+
+
+def rounding_of(times: Array) -> float:
+    """The power of ten to which all times are rounded [s], down to 1 us; else what a double rounds them to."""
+    spacing = 4.0 * float(np.spacing(abs(times).max()))
+    digits = (n for n in range(7) if (abs(times - np.round(times, n)) <= spacing).all())
+    return next((10.0**-n for n in digits), spacing)
+
+
+def _gaps(steps: Array, rounding: float) -> Array:
+    """How many frames each step of time has: as few as the rounding of the times allows."""
+    usual = float(np.quantile(steps, _USUAL, method="lower"))
+    reaches = 0.5 * usual, max(0.5 * usual, 1.5 * rounding)  # rounding shifts a single step
+    most, fewer = (np.round(steps / steps[abs(steps - usual) < reach].mean()) for reach in reaches)
+    certain = len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING
+    for gaps in () if certain else (np.ones(len(steps)), fewer):
+        rows, times = np.cumsum(gaps), np.cumsum(steps)
+        dt = np.polyfit(rows, times, 1)[0]
+        if gaps.min() > 0.0 and np.ptp(times - dt * rows) < 2.0 * EVEN * dt + rounding:
+            return gaps
+    return np.asarray(most)
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
@@ -156,11 +196,7 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
 
 def _length_of(half_widths: float) -> str:
     """A guess at what is wrong with a position that is as many half widths from the box's centre."""
-    if half_widths < 10.0:
-        return "is box_half_width right?"
-    if half_widths < 150.0:
-        return "centimetres or millimetres?"
-    return "millimetres?" if half_widths < 1500.0 else "pixels?"
+    return next((guess for most, guess in _GUESSES if half_widths < most), "pixels?")
 
 
 def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:

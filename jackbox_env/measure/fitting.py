@@ -152,12 +152,11 @@ class _Search:
             elif len(self._windows) == before:
                 self._cut_first()
         if not self._windows:
-            reasons = "the scene at the start leads elsewhere, or they are at rest"
-            if self._parameters.start.drive is not None and any(one.torques is None for one in self._recordings):
-                reasons += ", or its drive did not turn their box"
-            if np.isfinite(self._known_noise).any():
-                reasons += ", or the noise is larger than given"
-            raise ValueError(f"recordings must be followed for a while: {reasons}")
+            noise = ", or the noise, which may be larger than given" * bool(np.isfinite(self._known_noise).any())
+            raise ValueError(
+                "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
+                f"{noise}, or whether the jack moves"
+            )
         self._progress.reset(total=len(_LINK_SLACKS) + 2)
         self._progress.set_description("fitting")
         self._settle(_LINK_SLACKS[0])

@@ -18,6 +18,7 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, VX_JACK, X_JACK, Array
 from jackbox_env.tools import checks as check
 
+TORQUES = ("held", "sampled")
 SHORTEST = 1e-9  # [s] between states
 IMPACT = "impacts"  # the name of the noise of impacts' times
 _SMALLEST_NOISE = 1e-12  # of the argument, in SI units
@@ -40,9 +41,10 @@ class Recording:
         dt: between states [s], from 1e-9 to 1e9.
         time: of the first state [s].
         impacts: times at which impacts were heard [s], in order; None: nobody listened.
+        torque: "held", or "sampled": ``torques`` were measured with the states, shape (H + 1,), and change linearly.
 
     Attributes:
-        states, torques, dt, time, impacts: the same, as arrays and floats.
+        states, torques, dt, time, impacts: the same, as arrays and floats; torques constant for ``dt`` in any case.
         notes: what :meth:`from_frame` changed, each in a sentence without a full stop.
 
     Raises:
@@ -51,8 +53,9 @@ class Recording:
 
     def __init__(
         self, states: ArrayLike, torques: ArrayLike | None, dt: float, time: float = 0.0,
-        impacts: ArrayLike | None = None,
+        impacts: ArrayLike | None = None, torque: str = "held",
     ) -> None:  # fmt: skip
+        check.choice("torque", torque, TORQUES)
         self.states: Array = np.array(check.array("states", states, "be numbers"), dtype=np.float64)
         if self.states.ndim != 2 or self.states.shape[1] != 12 or len(self.states) < 2:
             raise ValueError(f"states must have shape (H + 1, 12) with H >= 1, got {self.states.shape}")
@@ -62,10 +65,12 @@ class Recording:
             raise ValueError(f"states must be finite or NaN, got {value}")
         self.dt = check.real("dt", dt, at_least=SHORTEST, at_most=LATEST_TIME)
         self.time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        steps = len(self.states) - 1
+        count, one = (len(self.states) - 1, "step") if torque == "held" else (len(self.states), "state")
         self.torques = None if torques is None else _finite("torques", torques)
-        if self.torques is not None and self.torques.shape != (steps,):
-            raise ValueError(f"torques must have shape ({steps},), one for each step, got {self.torques.shape}")
+        if self.torques is not None and self.torques.shape != (count,):
+            raise ValueError(f"torques must have shape ({count},), one for each {one}, got {self.torques.shape}")
+        if self.torques is not None and torque == "sampled":
+            self.torques = _of_samples(self.torques)
         self.impacts = None if impacts is None else _finite("impacts", impacts)
         if self.impacts is not None and (self.impacts.ndim != 1 or (np.diff(self.impacts) < 0.0).any()):
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
@@ -78,6 +83,7 @@ class Recording:
     def from_frame(
         cls, columns: Any, scene: Scene | Mapping[str, Any] | None = None,
         *, names: Mapping[str, str] | None = None, y_down: bool = False, impacts: ArrayLike | None = None,
+        torque: str = "held",
     ) -> Recording:  # fmt: skip
         """The recording of a table, of a camera for example.
 
@@ -100,22 +106,23 @@ class Recording:
                 that are no names here are then left out.
             y_down: whether y points downwards and angles are clockwise, as in images. A torque stays.
             impacts: times at which impacts were heard [s].
+            torque: whether each torque was "held" to the next row, or "sampled": it changes linearly.
 
         Raises:
             TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
         """
         check.flag("y_down", y_down)
         scene = Scene.of(stored_scene(columns) if scene is None else scene)
-        return cls.from_table(table_of(columns), scene, names, y_down, impacts)
+        return cls.from_table(table_of(columns), scene, names, y_down, impacts, torque)
 
     @classmethod
     def from_table(
         cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
-        impacts: ArrayLike | None = None,
+        impacts: ArrayLike | None = None, torque: str = "held",
     ) -> Recording:  # fmt: skip
         """:meth:`from_frame` of a :class:`jackbox_env.measure.tables.Table`."""
         heard = None if impacts is None else _finite("impacts", impacts)
-        arguments, notes = evened(table, scene, names, y_down, heard)
+        arguments, notes = evened(table, scene, names, y_down, heard, torque)
         try:
             recording = cls(**arguments)
         except ValueError as error:
@@ -136,6 +143,16 @@ def _finite(name: str, values: Any) -> Array:
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
     return array
+
+
+def _of_samples(samples: Array) -> Array:
+    """Constant torques of the steps between samples that turn the box about as a linear torque does.
+
+    The means alone would turn the box too far by dt^2 / 12 times its acceleration. A twelfth of the second difference
+    takes that out, up to third differences.
+    """
+    means, slopes = 0.5 * (samples[1:] + samples[:-1]), np.diff(samples)
+    return means if len(slopes) < 2 else np.asarray(means - np.gradient(slopes) / 12.0)
 
 
 def pushed(recording: Recording, scene: Scene) -> bool:

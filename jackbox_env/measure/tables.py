@@ -6,7 +6,6 @@ numbers in :func:`in_si_units`, so a column that nobody reads may hold anything.
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -15,19 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jackbox_env.measure.text import DELIMITERS, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
 UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
-_TURN = 2.0 * math.pi  # [rad]
-_OTHER_UNITS = {  # in SI units, by the SI unit
-    "s": {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
-    "m": {"cm": 1e-2, "mm": 1e-3},
-    "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
-    "rad": {"deg": _TURN / 360.0, "°": _TURN / 360.0, "mrad": 1e-3, "turns": _TURN, "rev": _TURN},
-    "rad/s": {"deg/s": _TURN / 360.0, "°/s": _TURN / 360.0, "rpm": _TURN / 60.0, "rev/s": _TURN},
-    "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "kN m": 1e3, "kNm": 1e3},
-}
+_THOUSANDS = re.compile(r"[-+\u2212]?[1-9]\d{0,2}(,\d{3})+")
 
 
 class Table(NamedTuple):
@@ -36,6 +28,8 @@ class Table(NamedTuple):
     columns: Sequence[tuple[str, Any]]  # headers, and values as they were read
     source: str = ""  # a file and ", "
     lines: Sequence[int] | None = None  # of the text file, of each row
+    at_line: int = 1  # of the headers
+    notes: tuple[str, ...] = ()  # what was left out, each in a sentence without a full stop
 
     def at(self, row: int) -> str:
         """A row, in words."""
@@ -43,7 +37,7 @@ class Table(NamedTuple):
 
     def header(self) -> str:
         """Begins a sentence about a header."""
-        return f"{self.source}row 1: column" if self.source else "column"
+        return f"{self.source}row {self.at_line}: column" if self.source else "column"
 
 
 # -- files and frames --------------------------------------------------------------------------------------------------
@@ -89,13 +83,14 @@ def read_table(path: Path, array: str) -> Table:
         if array not in arrays:
             raise ValueError(f"{path}: there must be an array {array}, got {', '.join(arrays)}")
         return table_of({"time": arrays[array]} if array == "impact_time" else arrays, f"{path}, ")
-    headers, lines, rows = read_rows(path)
+    headers, lines, rows, delimiter, at_line, notes = read_rows(path)
+    width = len(headers)
     for line, row in zip(lines, rows, strict=True):
-        if len(row) != len(headers):
-            needed = f"{len(headers)} cells like row 1, with commas between and points in numbers"
+        if len(row) < width or any(cell.strip() for cell in row[width:]):
+            needed = f"{width} cells like row {at_line}, with {DELIMITERS[delimiter]} between and points in numbers"
             raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
-    columns = zip(*rows, strict=True) if rows else [()] * len(headers)
-    return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines)
+    columns = zip(*(row[:width] for row in rows), strict=True) if rows else [()] * width
+    return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines, at_line, notes)
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
@@ -112,23 +107,6 @@ def read_arrays(path: Path) -> dict[str, Any]:
         except Exception as error:  # a damaged zip fails in dozens of ways, MemoryError and zlib.error among them
             reason = " ".join(str(error).split()) or type(error).__name__
             raise ValueError(f"{path}: must be an npz file of jackbox simulate, got {reason}") from error
-
-
-def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
-    """Headers of a CSV file, the lines of its further rows, and their cells; empty lines are left out.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is no CSV, or has a cell of more than 131,072 characters.
-    """
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        reader = csv.reader(file)
-        try:
-            headers = next(reader, [])
-            rows = [(reader.line_num, row) for row in reader if row]
-        except csv.Error as error:
-            raise ValueError(f"{path}, row {reader.line_num}: {error}") from error
-    return headers, [line for line, _ in rows], [row for _, row in rows]
 
 
 def stored_scene(arrays: Any, source: str = "") -> dict[str, Any] | None:
@@ -159,39 +137,72 @@ def in_si_units(
             finite numbers and NaN, or columns of different lengths.
     """
     check.known_keys("names", names or {}, units)
-    wanted = {name: _parts(text) for name, text in (names or {}).items()}
-    columns, left_out = dict[str, Array](), list[str]()
-    for header, values in table.columns:
-        bare, unit = _parts(header)
-        by_name = [name for name, (text, _) in wanted.items() if text == bare]
-        name = by_name[0] if by_name else bare
-        if (names or not strict) and not by_name and (bare not in units or bare in wanted):
-            left_out.append(header)
-            continue
-        if name not in units or name in columns:
-            allowed = ", ".join(f"{one} [{of}]" if of else one for one, of in units.items())
-            what = "comes twice" if name in columns else f"must be one of {allowed}"
-            raise ValueError(f"{table.header()} {check.shown(header)} {what}")
-        factor = _factor(table, header, unit or wanted.get(name, ("", ""))[1], units[name])
-        columns[name] = factor * _numbers(table, header, values)
+    chosen, left_out = _chosen(table, units, names or {}, strict)
+    decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
+    columns = {
+        name: factor * _numbers(table, header, values, decimal_commas)
+        for name, (header, factor, values) in chosen.items()
+    }
     listed = ", ".join(repr(header) for header, _ in table.columns)
-    for name, (text, _) in wanted.items():
+    for name in (*(names or {}), *needed):
         if name not in columns:
-            raise ValueError(f"{table.header()} {text!r}, which is to be {name}, must be one of {listed}")
-    for name in needed:
-        if name not in columns:
-            where = f"{table.source}{'row 1: ' if table.source else ''}"
-            raise ValueError(f"{where}there must be a column {name} [{units[name]}], got {listed or 'none'}")
+            what = f"there must be a column {name} [{units[name]}], got {listed or 'none'}"
+            if name in (names or {}):
+                text = parts((names or {})[name], units)[0]
+                what = f"column {text!r}, which is to be {name}, must be one of {listed}"
+            raise ValueError(f"{table.header().removesuffix('column')}{what}")
     if len({len(column) for column in columns.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise ValueError(f"{table.source}columns must have the same number of rows, got {lengths}")
     return columns, tuple(left_out)
 
 
-def _numbers(table: Table, header: str, values: Any) -> Array:
-    """The numbers of a column; NaN for an empty cell."""
+def _chosen(
+    table: Table, units: Mapping[str, str], names: Mapping[str, str], strict: bool
+) -> tuple[dict[str, tuple[str, float, Any]], list[str]]:
+    """Headers, units [SI] and values by the names here, and the headers that are left out."""
+    headers = {header.strip() for header, _ in table.columns}
+    by_text = {text.strip() if text.strip() in headers else parts(text, units)[0]: name for name, text in names.items()}
+    chosen, left_out = dict[str, tuple[str, float, Any]](), list[str]()
+    for header, values in table.columns:
+        bare, unit = parts(header, units)
+        name = by_text.get(header.strip(), by_text.get(bare, ""))
+        if not name and (not bare or ((names or not strict) and (bare not in units or bare in names))):
+            left_out.append(header)
+            continue
+        name = name or bare
+        if name not in units or name in chosen:
+            allowed = ", ".join(f"{one} [{of}]" if of else one for one, of in units.items())
+            others = "; --columns (in Python names=) reads other headers" * (units is UNITS)
+            what = "comes twice" if name in chosen else f"must be one of {allowed}{others}"
+            raise ValueError(f"{table.header()} {check.shown(header)} {what}")
+        of_names = parts(names.get(name, ""), units)[1]
+        chosen[name] = header, _factor(table, header, unit, of_names, units[name]), values
+    return chosen, left_out
+
+
+def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
+    """Whether the numbers of a text file have decimal commas; ValueError if they may be thousands."""
+    cells = [cell.strip() for column in columns for cell in column]
+    commas = [cell for cell in cells if "," in cell and NUMBER.fullmatch(cell)]
+    if commas and (any("." in cell for cell in cells) or all(map(_THOUSANDS.fullmatch, commas))):
+        raise ValueError(
+            f"{table.source.removesuffix(', ')}: commas must be in all decimal numbers or in none, and in no "
+            f"thousands, got {check.shown(commas[0])}"
+        )
+    return bool(commas)
+
+
+def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Array:
+    """The numbers of a column; NaN for an empty cell or a marker like NA."""
     if table.lines is not None:
-        return np.array([_number(table, row, header, cell) for row, cell in enumerate(values)], dtype=np.float64)
+        cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
+        read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
+        for line, cell in enumerate(cells):
+            if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):
+                what = f"must be a number or empty, got {check.shown(values[line].strip())}"
+                raise ValueError(f"{table.at(line)}, column {header}: {what}")
+        return read
     array = np.asarray(values)
     try:
         numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
@@ -205,30 +216,18 @@ def _numbers(table: Table, header: str, values: Any) -> Array:
     return numbers
 
 
-def _number(table: Table, row: int, header: str, cell: str) -> float:
-    try:
-        value = float(cell) if cell.strip() else math.nan
-    except ValueError:
-        value = math.inf
-    if math.isinf(value):
-        raise ValueError(f"{table.at(row)}, column {header}: must be a number or empty, got {check.shown(cell)}")
-    return value
-
-
-def _parts(header: str) -> tuple[str, str]:
-    """Name and unit of ``x_box [mm]``; no unit is ""."""
-    match = re.fullmatch(r"(.*?)\s*\[([^][]*)\]", header.strip())
-    return (match[1], match[2].strip()) if match else (header.strip(), "")
-
-
-def _factor(table: Table, header: str, unit: str, si: str) -> float:
-    if unit in ("", si):
-        return 1.0
-    factors = _OTHER_UNITS.get(si, {})
-    if unit not in factors:
-        allowed = ", ".join((si, *factors)) if si else "none"
+def _factor(table: Table, header: str, unit: str | None, of_names: str | None, si: str) -> float:
+    """The unit of a column [si], which the header or ``names`` have."""
+    if unit is not None and of_names is not None and plain(unit) != plain(of_names):
+        raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {of_names!r}, chosen for it")
+    in_parentheses = re.search(r"\(([^()]*)\)\s*$", header)
+    unit = next((one for one in (unit, of_names, in_parentheses and in_parentheses[1]) if one is not None), si)
+    factors = {si: 1.0, **OTHER_UNITS.get(si, {})}
+    factor = {plain(one): factor for one, factor in factors.items()}.get(plain(unit))
+    if factor is None:
+        allowed = ", ".join(factors) if si else "none"
         raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
-    return factors[unit]
+    return factor
 
 
 def filled(table: Table, name: str, values: Array) -> Array:

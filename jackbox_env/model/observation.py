@@ -95,10 +95,14 @@ def observe(
         TypeError: a user's function returns something else than a number for each name.
         TaskError: a number is NaN.
     """
-    named = State(*state)
-    if observation is None or observation in OBSERVATIONS.values():
-        return np.array((observation or STATE).values(scene.numbers, named, time), dtype=np.float32)
-    values = observation.values(scene.numbers, named, time)
+    return observe_named(scene.numbers, State(*state), time, STATE if observation is None else observation)
+
+
+def observe_named(scene: SceneNumbers, state: State, time: float, observation: Observation) -> NDArray[np.float32]:
+    """As :func:`observe`, of a scene's numbers and a state's."""
+    values = observation.values(scene, state, time)
+    if observation in OBSERVATIONS.values():
+        return np.array(values, dtype=np.float32)
     count = len(observation.names)
     if not (isinstance(values, tuple) and len(values) == count and all(isinstance(one, Real) for one in values)):
         raise TypeError(f"an observation's values must return a tuple of {count} numbers, got {check.shown(values)}")

@@ -16,6 +16,7 @@ from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_file
 
+_ROWS = 10_000  # that are written together
 Columns = dict[tuple[str, str], NDArray[Any]]  # by name and unit, "" without
 
 
@@ -31,8 +32,8 @@ def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Col
     write: Any = np.savez
     if suffix == ".mat":
         write = _library("scipy.io", ".mat files", "SciPy", "train").savemat
-    with new_file(path) as partial:
-        write(partial, arrays) if suffix == ".mat" else write(partial, **arrays)
+    with new_file(path) as partial, partial.open("wb") as file:
+        write(file, arrays) if suffix == ".mat" else write(file, **arrays)
     return [path]
 
 
@@ -53,9 +54,12 @@ def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> l
     """
     for path, columns in zip((states, impacts), tables, strict=True):
         names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
-        rows = zip(*(numbers.tolist() for numbers in columns.values()), strict=True)
         with new_file(path) as partial, partial.open("w", newline="") as file:
-            csv.writer(file).writerows([names, *(["" if cell != cell else cell for cell in row] for row in rows)])
+            writer = csv.writer(file)
+            writer.writerow(names)
+            for first in range(0, len(next(iter(columns.values()))), _ROWS):
+                rows = zip(*(numbers[first : first + _ROWS].tolist() for numbers in columns.values()), strict=True)
+                writer.writerows(["" if cell != cell else cell for cell in row] for row in rows)
     return [states, impacts]
 
 

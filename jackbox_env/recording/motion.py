@@ -17,7 +17,7 @@ from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array, Counts
 from jackbox_env.recording.files import Columns, by_name, frame, save
 from jackbox_env.recording.record import Impacts, Record
-from jackbox_env.recording.recorder import restarted
+from jackbox_env.recording.recorder import restarted, within_memory
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.replay import box_energy
 from jackbox_env.tools import checks as check
@@ -40,12 +40,13 @@ class Motion:
         scene: as simulated; a torque that is a function is its drive.
         dt: duration of a control step [s].
         t: the start, and the ends of control steps [s], shape (n,).
-        states: at these times, SI units, shape (n, 12).
+        states: at these times, SI units, shape (n, 12). The first is the given start: if a foot strikes there,
+            ``motion(t[0])`` is the state after it. If an impact ends the motion, the last is the state after it.
         torques: constant in each control step [N m], shape (n - 1,); None: the scene's drive acts.
         impacts: a structured array in time order: ``time`` [s], ``wall``, ``foot``, ``impulse`` [N s], and the states
             ``before`` and ``after``, 12 numbers each. Feet that strike at one moment have a row each, of the same
-            states. A foot at rest on a wall has a row at the end of each step, with the impulse of the whole step, and
-            before = after.
+            states. A foot at rest on a wall has a row at the end of each step, with the impulse of the whole step,
+            before = after, and True in the field ``resting``. With pymunk there are only the first four fields.
         failure: the error that ended the motion early, or None.
     """
 
@@ -66,12 +67,19 @@ class Motion:
         self.t: Array = np.concatenate([[first], record.times[inner], [last] if last > first else []])
         self.states: Array = np.empty((len(self.t), 12))
         self.states[1 : 1 + inner.sum()] = record.states[inner]
-        self.states[0] = record.states[0] if begin is None else impacts["after"][begin]
         if last == record.times[-1]:
             self.states[-1] = record.states[-1]
         else:
             self.states[-1] = self(last)
-        self.torques = None if record.torques is None else record.torques[low : low + len(self.t) - 1]
+        self.states[0] = record.states[0] if begin is None else impacts["after"][begin]
+        self.torques = record.torques_in(np.arange(low, low + len(self.t) - 1))
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"Motion(t from {self.t[0]:g} to {self.t[-1]:g} s, {len(self.t)} states, {self.impact_count} impacts, "
+            f"dt = {self.dt:g} s)"
+        )
 
     def __call__(self, t: ArrayLike, side: Side = "after") -> Array:
         """The states at any times of the motion, shape (..., 12), SI units.
@@ -98,11 +106,11 @@ class Motion:
         return states.reshape(*shape, 12)
 
     def _times(self, t: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Checked times, flat, and their shape; the ends may be passed by what sums of steps are rounded."""
+        """Checked times, flat, and their shape; the ends may be passed by what is rounding of a duration."""
         self._record.refuse_no_states()
         array = check.array("t", t, "be times [s]").astype(np.float64)
         first, last = float(self.t[0]), float(self.t[-1])
-        slack = len(self.t) * math.ulp(max(abs(first), abs(last)))
+        slack = self._record.slack(last - first)
         inside = (array >= first - slack) & (array <= last + slack)
         if not inside.all():
             raise ValueError(f"t must be from {first:g} to {last:g} s, got {array[~inside].flat[0]:g}")
@@ -121,8 +129,9 @@ class Motion:
         in it, and ``energy - work`` changes by what they dissipate.
 
         Raises:
-            TypeError, ValueError: as of a call.
+            TypeError, ValueError: as of a call; also without ``t`` for another contact model than the exact one.
         """
+        self._record.refuse_no_states("work is summed over the flights between impacts, and ")
         times, shape = self._times(self.t if t is None else t)
         return (self._worked(times) - self._worked(self.t[:1])).reshape(shape)
 
@@ -158,7 +167,9 @@ class Motion:
             duration: from the impact on [s]; None: to the end of this motion.
 
         Raises:
-            TypeError, ValueError: there is no such impact, or a duration for which there are no torques.
+            TypeError, ValueError: there is no such impact, a duration for which there are no torques, or one of more
+                than 10,000,000 control steps.
+            MemoryError: the motion does not fit into memory.
         """
         self._record.refuse_no_states()
         count = len(self.impacts)
@@ -169,7 +180,9 @@ class Motion:
         if duration is not None:
             end = float(self.impacts["time"][k]) + check.real("duration", duration, above=0.0)
         begin = row - int(np.searchsorted(self._record.steps, self._record.steps[row]))
-        return Motion(restarted(self._record, row, end), begin=begin, end=float(self.t[-1]) if end is None else end)
+        with within_memory():
+            record, last = restarted(self._record, row, end)
+            return Motion(record, begin=begin, end=float(self.t[-1]) if end is None else last)
 
     @property
     def counts(self) -> Counts:
@@ -178,6 +191,11 @@ class Motion:
             return np.zeros(0, np.int64)
         steps = np.minimum(self._record.steps[self._rows] - self._low, len(self.t) - 2)
         return np.bincount(steps, minlength=len(self.t) - 1)
+
+    @property
+    def impact_count(self) -> int:
+        """Number of impacts, without those of feet at rest; with pymunk, which does not distinguish them, with them."""
+        return len(self.impacts) - int((self._record.held[self._rows] < 0).sum())
 
     @property
     def hits(self) -> list[Impact]:
@@ -229,6 +247,8 @@ class Motion:
         states = {("time", "s"): self.t, **by_name("", self.states), ("torque", "N m"): torque}
         units = {"time": "s", "impulse": "N s"}
         impacts = {(name, units.get(name, "")): self.impacts[name] for name in Impact._fields}
-        for side in [name for name in self.impacts.dtype.fields or () if name not in Impact._fields]:
-            impacts |= by_name(f"{side} ", self.impacts[side])
+        if "before" in (self.impacts.dtype.names or ()):
+            for side in ("before", "after"):
+                impacts |= by_name(f"{side} ", self.impacts[side])
+            impacts[("resting", "")] = self.impacts["resting"].astype(np.int64)
         return states, impacts

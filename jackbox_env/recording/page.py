@@ -104,7 +104,7 @@ def _timing(motion: Motion) -> Facts:
     return [
         ("time", f"{times[0]:g} s to {times[-1]:g} s"),
         ("time step", f"{(times[-1] - times[0]) / steps:.4g} s"),
-        ("impacts", f"{len(motion.impacts):,}"),
+        ("impacts", f"{motion.impact_count:,}"),
     ]
 
 

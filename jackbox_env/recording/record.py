@@ -17,24 +17,39 @@ from jackbox_env.exact.motion import Moments, coast, fly
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Counts, Flags
-from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, ExactSimulator, drive_kind, joined, pieces_for
+from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
 
 #: Of an impact: time [s], wall, foot, impulse [N s].
 IMPACT = [("time", "f8"), ("wall", "i8"), ("foot", "i8"), ("impulse", "f8")]
-#: With the states just before and just after it.
-JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12)]
+#: With the states just before and just after it, and whether it is the impulse of a foot at rest in its step instead.
+JUMP = [*IMPACT, ("before", "f8", 12), ("after", "f8", 12), ("resting", "?")]
 
+_ROOM = 64  # rows of feet at rest in a step
 ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
 
 Impacts = NDArray[Any]  # structured
+Torques = Array | float | None  # of each step, or of any step [N m]; None: the scene's drive acts
+
+
+def _refuse_states(key: Any) -> None:
+    """Raise ValueError if it is the name of what only impacts of the exact contact model have."""
+    if isinstance(key, str) and key in ("before", "after", "resting"):
+        raise ValueError(f"these impacts have no field {key!r}: that needs fidelity='exact'")
 
 
 class WithoutStates(np.ndarray[Any, Any]):
     """Impacts of a contact model that has no states before and after them."""
 
     def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str) and key in ("before", "after"):
-            raise ValueError(f"these impacts have no states {key} them: that needs fidelity='exact'")
+        _refuse_states(key)
+        return super().__getitem__(key)
+
+
+class ImpactWithoutStates(np.void):  # type: ignore[misc]  # numpy supports it, as its own np.record
+    """One of them."""
+
+    def __getitem__(self, key: Any) -> Any:
+        _refuse_states(key)
         return super().__getitem__(key)
 
 
@@ -48,11 +63,13 @@ class Record:
         rest: duration of the last step if it is shorter [s], else 0.
         times: at the ends of steps, the start first [s], shape (n + 1,).
         states: SI units, shape (n + 1, 12).
-        torques: constant in each step [N m], n of them or more; None: the scene's drive acts.
+        torques: constant in each step [N m]: n of them or more, or one for any number of steps; None: the scene's
+            drive acts.
         impacts: structured, shape (m,), in time order; without the states of ``JUMP`` if the contact model has none.
         steps: in which each impact is, shape (m,).
         held: number of feet at rest before each impact in its step, -1 for the impulse of a foot at rest; shape (m,).
         failure: the error that ended it early.
+        rounding: of the sums that the times are, at most [s].
     """
 
     scene: Scene
@@ -60,16 +77,34 @@ class Record:
     rest: float
     times: Array
     states: Array
-    torques: Array | None
+    torques: Torques
     impacts: Impacts
     steps: Counts
     held: Counts
     failure: Exception | None = None
+    rounding: float = 0.0
+
+    def slack(self, duration: float) -> float:
+        """By how much [s] a time may differ from one of this record, and mean the same one; see :func:`slack_of`."""
+        return slack_of(duration, self.dt, self.rounding)
+
+    def torques_in(self, steps: Counts) -> Array | None:
+        """The torque in each of some steps [N m]; None: the scene's drive acts."""
+        if isinstance(self.torques, np.ndarray):
+            return self.torques[steps]
+        return None if self.torques is None else np.full(len(steps), self.torques)
+
+    def same_impact(self) -> Flags:
+        """Of each row of ``impacts`` whether its foot strikes together with that of the row before."""
+        rows = self.impacts
+        same = (rows["time"][1:] == rows["time"][:-1]) & (self.held[1:] >= 0) & (self.held[:-1] >= 0)
+        same &= (rows["before"][1:] == rows["before"][:-1]).all(axis=1)
+        return np.concatenate([np.zeros(len(rows[:1]), np.bool_), same])
 
     @cached_property
     def knots(self) -> Knots:
         """The moments at which flights begin."""
-        jumps = np.flatnonzero(self.held >= 0)
+        jumps = np.flatnonzero((self.held >= 0) & ~self.same_impact())
         number = np.concatenate([np.arange(len(self.times)), self.steps[jumps]])
         order = np.argsort(number, kind="stable")  # the start of a step, then its jumps
         times = np.concatenate([self.times, self.impacts["time"][jumps]])[order]
@@ -80,29 +115,23 @@ class Record:
         ended = np.concatenate([ends, self.held[jumps] > 0])[order]
         return Knots(times, states, arrived[1:], number[order], np.append(ended[1:], False))
 
-    def refuse_no_states(self) -> None:
-        """Raise ValueError unless there are states between control steps."""
+    def refuse_no_states(self, needed: str = "") -> None:
+        """Raise ValueError unless there are states between control steps; ``needed``: what needs them."""
         if "before" not in (self.impacts.dtype.names or ()):
-            raise ValueError(f"this motion has states at the ends of control steps only: {ONLY_EXACT}")
+            raise ValueError(f"{needed}this motion has states at the ends of control steps only: {ONLY_EXACT}")
 
     def flown(self, indices: Counts, durations: Array) -> Array:
         """The states some time after knots [s], shape (n, 12), before the next knot."""
         knots = self.knots
         states: Array = knots.states[indices].copy()
-        moved = np.flatnonzero(durations > 0.0)
-        held = knots.held[indices[moved]]
-        for index in moved[held]:
-            knot = indices[index]
-            simulator = ExactSimulator(self.scene)
-            simulator.reset(knots.states[knot], float(knots.times[knot]))
-            torque = None if self.torques is None else float(self.torques[knots.steps[knot]])
-            states[index] = simulator.step(float(durations[index]), torque).state
-        if (flying := moved[~held]).size:
-            states[flying] = self._coasted(indices[flying], durations[flying])
+        held = knots.held[indices]
+        for resting in (False, True):
+            if (moved := np.flatnonzero((durations > 0.0) & (held == resting))).size:
+                states[moved] = self._moved(indices[moved], durations[moved], resting)
         return states
 
-    def _coasted(self, indices: Counts, durations: Array) -> Array:
-        """:func:`flown` without feet at rest."""
+    def _moved(self, indices: Counts, durations: Array, resting: bool) -> Array:
+        """:func:`flown` by free flight, or by steps, in which feet may be ``resting``."""
         knots, scene = self.knots, self.scene
         kind, count = drive_kind(scene.drive, self.torques is not None), len(indices)
         unique, number = np.unique(indices, return_inverse=True)
@@ -111,18 +140,24 @@ class Record:
             spans = zip(
                 knots.times[unique].tolist(), (knots.times[unique + 1] - knots.times[unique]).tolist(), strict=True
             )
-            held = None if self.torques is None else 0.0
+            held = None if self.torques is None else 0.0  # any number
             table, _, ends = joined([pieces_for(scene.drive, *span, held) for span in spans], ends[:1])
-        torques = np.zeros(count) if self.torques is None else self.torques[knots.steps[indices]]
+        torques = self.torques_in(knots.steps[indices])
+        torques = np.zeros(count) if torques is None else torques
         moments = Moments(
             knots.states[indices], knots.times[indices], torques, durations, table, ends[number], ends[number + 1]
         )
         states: Array = np.empty((count, 12))
-        loop = compiled(fly, advance=coast)
-        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((1, 1)))
+        loop = compiled(fly) if resting else compiled(fly, advance=coast)
+        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((_ROOM, 4)))
         if failed >= 0:
             raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")
         return states
+
+
+def slack_of(duration: float, dt: float, rounding: float = 0.0) -> float:
+    """What is rounding of a duration in steps of ``dt``, or of a time after it [s]; it makes no step."""
+    return 1e-6 * dt + 1e-12 * duration + rounding
 
 
 class Knots(NamedTuple):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -33,7 +34,7 @@ from jackbox_env.exact.workspace import (
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.recording.events import Event
-from jackbox_env.recording.record import IMPACT, JUMP, Record, WithoutStates
+from jackbox_env.recording.record import IMPACT, JUMP, ImpactWithoutStates, Record, Torques, WithoutStates, slack_of
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -46,6 +47,7 @@ from jackbox_env.simulators.exact import (
 )
 from jackbox_env.tools.command_line import bar
 
+MOST_STEPS = 10_000_000  # some 2 GB
 _ROOM = 1024  # impacts in a log at first
 _CHUNK = 64  # steps between two searches for an event at first, then twice as many each time
 
@@ -54,18 +56,18 @@ Advance = Callable[[Array, float, float, int, Array | None], Record]
 
 
 def exact_advance(scene: Scene) -> Advance:
-    """Simulation by the exact contact model; the jack's loss ends it early, with the error as the record's failure."""
+    """Simulation by the exact contact model; an error in a step ends it before, as the record's failure."""
     ensure_compiled()
     return partial(_exact_record, scene)
 
 
 def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int, torques: Array | None) -> Record:
     times: Array = np.add.accumulate(np.concatenate([[time], np.full(steps, dt)]))
-    held, pieces = torques is not None, NO_PIECES
+    held, pieces, error = torques is not None, NO_PIECES, None
     kind = np.array([drive_kind(scene.drive, held)])
     if kind[0] in WITH_PIECES:
-        tables = [pieces_for(scene.drive, one, dt, 0.0 if held else None) for one in times[:-1].tolist()]
-        pieces = joined(tables, np.zeros(1, np.int64))
+        tables, error = _tables(scene, times[:-1].tolist(), dt, held)
+        pieces, steps = joined(tables, np.zeros(1, np.int64)), len(tables)
     blocks = np.zeros((2, 1, WIDTH, 1))
     blocks[0, 0, :12, 0], blocks[0, 0, TIME] = state, time
     states, values = np.empty((1, steps + 1, 12)), np.array([scene.numbers])
@@ -78,11 +80,11 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     calls[0].prepare(
         Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
         Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, 0, 0, 0, PATIENCE),
-        blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques)[:, None], results,
+        blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques[:steps])[:, None], results,
     )  # fmt: skip
     ended, _, step, _, logs = run_blocks(compiled(run), calls, 0, 0, 1, Halt())
     done = step if ended else steps
-    error = failure(ended, scene, float(times[step]), dt) if ended else None
+    error = failure(ended, scene, float(times[step]), dt) if ended else error
     rows, in_step = np.concatenate([np.zeros((0, JUMPS)), *logs]), np.repeat(np.arange(steps), results.hits[:, 0])
     workspaces = new_workspaces()
     compiled(leave_frames)(values[0], dt, kind[0], states[0, in_step], rows, workspaces)
@@ -91,10 +93,22 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     impacts["wall"], impacts["foot"], impacts["impulse"] = rows[:, 1], rows[:, 2], rows[:, 3]
     impacts["before"], impacts["after"] = rows[:, BEFORE : BEFORE + 12], rows[:, AFTER : AFTER + 12]
     counts = rows[:, HELD_SO_FAR].astype(np.int64)
+    impacts["resting"] = counts < 0
     impacts["before"][counts < 0] = impacts["after"][counts < 0] = states[0, in_step[counts < 0] + 1]
     return Record(
         scene, dt, 0.0, times[: done + 1], states[0, : done + 1], torques, impacts, in_step, counts, error
     )  # fmt: skip
+
+
+def _tables(scene: Scene, times: list[float], dt: float, held: bool) -> tuple[list[Array], Exception | None]:
+    """Pieces of the drive for the steps from these times on, up to the first in which its functions raise an error."""
+    tables = list[Array]()
+    for time in times:
+        try:
+            tables.append(pieces_for(scene.drive, time, dt, 0.0 if held else None))
+        except Exception as error:
+            return tables, error
+    return tables, None
 
 
 def stepping_advance(simulator: Simulator) -> Advance:
@@ -137,7 +151,8 @@ class Recorder:
 
     def record(self, failure: Exception | None = None) -> Record:
         """The steps so far."""
-        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(WithoutStates)
+        kind = np.dtype((ImpactWithoutStates, IMPACT))
+        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(kind).view(WithoutStates)
         steps = np.array(self._steps, np.int64)
         return Record(
             self._scene, self._dt, 0.0, np.array(self._times), np.array(self._states),
@@ -145,11 +160,12 @@ class Recorder:
         )  # fmt: skip
 
 
-def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Array | None) -> Record:
+def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Torques) -> Record:
     """One record of several, each of which goes on from the one before; ``torques`` are of all steps, or more."""
     offsets = np.cumsum([0, *(len(part.times) - 1 for part in parts)])
+    rounding = int(offsets[-1]) * math.ulp(max(abs(float(time)) for time in (parts[0].times[0], parts[-1].times[-1])))
     return replace(
-        parts[-1], dt=dt, rest=rest, torques=torques,
+        parts[-1], dt=dt, rest=rest, torques=torques, rounding=rounding,
         times=np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)]),
         states=np.concatenate([parts[0].states[:1], *(part.states[1:] for part in parts)]),
         impacts=np.concatenate([part.impacts for part in parts]).view(type(parts[0].impacts)),
@@ -158,11 +174,37 @@ def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Arr
     )  # fmt: skip
 
 
+def steps_of(duration: float, dt: float, rounding: float = 0.0) -> tuple[int, float]:
+    """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0.
+
+    Raises:
+        ValueError: there are too many steps.
+    """
+    if duration / dt > MOST_STEPS:
+        raise ValueError(f"duration / dt must be at most {MOST_STEPS:,} steps, got {duration:g} / {dt:g}")
+    slack = slack_of(duration, dt, rounding)
+    whole = math.floor((duration + slack) / dt)
+    rest = duration - whole * dt
+    return whole, rest if rest > slack or not whole else 0.0
+
+
+@contextmanager
+def within_memory() -> Iterator[None]:
+    """Explain a MemoryError in one sentence."""
+    try:
+        yield
+    except MemoryError as error:
+        raise MemoryError("the motion does not fit into memory; use a shorter duration or a longer dt") from error
+
+
 def run_record(
-    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float], torques: Array | None,
+    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float], torques: Torques,
     event: Event | None = None, progress: bool = False,
 ) -> tuple[Record, float]:  # fmt: skip
-    """Advance step by step until the end, an event or a failure; return the record and the time of the event [s]."""
+    """Advance step by step until the end, an event or a failure; return the record and the time of the event [s].
+
+    Steps after an event may have been made; a failure in one of them is none.
+    """
     whole, rest = steps
     parts, done, end = list[Record](), 0, None
     size = whole if event is None and not progress else _CHUNK
@@ -170,7 +212,8 @@ def run_record(
     with bar(whole, progress) as moved:
         while end is None and (done < whole or (rest > 0.0 and done == whole)):
             length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
-            part = advance(state, time, length, count, None if torques is None else torques[done : done + count])
+            held = torques[done : done + count] if isinstance(torques, np.ndarray) else torques
+            part = advance(state, time, length, count, None if held is None else np.broadcast_to(held, count))
             parts.append(part)
             state, time, done, size = part.states[-1], float(part.times[-1]), done + count, min(2 * size, largest)
             moved(count)
@@ -179,11 +222,14 @@ def run_record(
             if part.failure is not None:
                 break
     record = joined_records(parts, dt, rest if done > whole else 0.0, torques)
-    return record, math.inf if end is None else end
+    return (record, math.inf) if end is None else (replace(record, failure=None), end)
 
 
-def restarted(record: Record, row: int, end: float | None) -> Record:
+def restarted(record: Record, row: int, end: float | None) -> tuple[Record, float]:
     """The record again from the step of the impact of a row: to its last step, or to a time that may be later [s].
+
+    Returns:
+        The record, and where the motion ends in it [s]; infinity: at its end.
 
     Raises:
         ValueError: the torques do not last as long.
@@ -191,13 +237,16 @@ def restarted(record: Record, row: int, end: float | None) -> Record:
     """
     step = int(record.steps[row])
     start, steps = float(record.times[step]), (len(record.times) - 1 - step - (record.rest > 0.0), record.rest)
-    torques = None if record.torques is None else record.torques[step:]
-    if end is not None:
-        steps = math.ceil((end - start) / record.dt), 0.0
-        if torques is not None and len(torques) < steps[0]:
+    torques = record.torques[step:] if isinstance(record.torques, np.ndarray) else record.torques
+    if end is None or abs(end - float(record.times[-1])) <= record.slack(end - start):
+        end = math.inf
+    else:
+        whole, rest = steps_of(end - start, record.dt, record.rounding)
+        steps, end = (whole + (rest > 0.0), 0.0), end if rest else math.inf
+        if isinstance(torques, np.ndarray) and len(torques) < steps[0]:
             lasts = start + len(torques) * record.dt - float(record.impacts["time"][row])
             raise ValueError(f"duration must be at most {lasts:g} s, as long as there are torques, got a longer one")
     again, _ = run_record(exact_advance(record.scene), record.states[step], start, record.dt, steps, torques)
     if again.failure is not None:
         raise again.failure
-    return again
+    return replace(again, rounding=again.rounding + record.rounding), end

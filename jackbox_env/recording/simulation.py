@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,15 +12,14 @@ from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, Array, as_restored
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
-from jackbox_env.recording.recorder import exact_advance, run_record, stepping_advance
+from jackbox_env.recording.record import Torques
+from jackbox_env.recording.recorder import exact_advance, run_record, stepping_advance, steps_of, within_memory
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting
 from jackbox_env.tools import checks as check
 
 EXACT = "exact"
-MOST_STEPS = 100_000_000
-_NO_STEP = 1e-6  # of dt: a shorter rest of the duration is rounding
 
 
 def simulate(
@@ -49,7 +47,8 @@ def simulate(
         scene: a Scene, a dict of some of its fields, or None for the default scene.
         state: at the start, 12 numbers, SI units; a foot may be up to 1 m outside. None: all 0, with the jack at rest
             in the middle.
-        duration: simulated time [s], > 0. If it is no multiple of ``dt``, the last step is shorter.
+        duration: simulated time [s], > 0. If it is no multiple of ``dt``, the last step is shorter. At most 10,000,000
+            steps of ``dt``.
         torque: on the box. None: the scene's drive; a number [N m] (0.0: none); a function of the time [s] that
             returns N m; or one number for each control step. The drive's side forces act in any case.
         time: at the start [s].
@@ -59,12 +58,14 @@ def simulate(
             control steps only.
         until: what ends the motion before ``duration``; "exact" only. "impact"; a number of impacts, > 0; or a
             function of the :class:`jackbox_env.State` at its next change of sign, also by an impact. The function is
-            sampled at 8 points at least on each flight, so two changes between two points are missed. A foot at rest
-            counts as no impact here.
+            sampled at 8 points on each flight within a control step, so ``dt`` sets the resolution: two changes between
+            two points are missed. A foot at rest counts as no impact here. Feet that strike together count one each,
+            so there may be more impacts than the number.
 
     Raises:
         TypeError, ValueError: unusable values.
         JackLostError: the jack would leave the box, or cannot be followed.
+        MemoryError: the motion does not fit into memory.
     """
     setting, scene = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)], Scene.of(scene)
     dt = check.real("dt", dt, above=0.0)
@@ -72,7 +73,7 @@ def simulate(
     event = event_of(until)
     if event is not None and setting.contact != EXACT:
         raise ValueError(f"until needs fidelity='exact', got {check.shown(until)} with fidelity={fidelity!r}")
-    torques: Array | None = None
+    torques: Torques = None
     if callable(torque):
         scene = scene.changed(drive=_turned_by(torque, scene.drive))
     elif torque is not None:
@@ -89,13 +90,13 @@ def _turned_by(torque: Callable[[float], float], drive: Chirp | Drive | None) ->
     return Drive(torque, *forces)
 
 
-def _torques(torque: Any, steps: tuple[int, float]) -> Array:
-    """The torque of each step [N m]; a number is that of any number of steps."""
+def _torques(torque: Any, steps: tuple[int, float]) -> Array | float:
+    """The torque of each step [N m], or of any step."""
     count = steps[0] + (steps[1] > 0.0)
     requirement = f"be a number, a function of time or one number for each of {count} steps"
     torques = check.array("torque", torque, requirement).astype(np.float64)
     if torques.ndim == 0:
-        return np.broadcast_to(check.real("torque", torque), MOST_STEPS + 1)
+        return check.real("torque", torque)
     if torques.shape != (count,):
         raise ValueError(f"torque must {requirement}, got shape {torques.shape}")
     if not np.isfinite(torques).all():
@@ -103,27 +104,14 @@ def _torques(torque: Any, steps: tuple[int, float]) -> Array:
     return torques
 
 
-def steps_of(duration: float, dt: float) -> tuple[int, float]:
-    """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0.
-
-    Raises:
-        ValueError: there are too many steps.
-    """
-    if duration / dt > MOST_STEPS:
-        raise ValueError(f"duration / dt must be at most {MOST_STEPS:,} steps, got {duration:g} / {dt:g}")
-    whole = math.floor(duration / dt * (1.0 + 1e-12) + _NO_STEP)
-    rest = duration - whole * dt
-    return whole, rest if rest > _NO_STEP * dt else 0.0
-
-
 def recorded(
-    scene: Scene, setting: Setting, state: ArrayLike, time: float, duration: float, dt: float, torques: Array | None,
+    scene: Scene, setting: Setting, state: ArrayLike, time: float, duration: float, dt: float, torques: Torques,
     event: Event | None = None, progress: bool = False,
 ) -> Motion:  # fmt: skip
-    """:func:`simulate` by any contact model; the jack's loss ends the motion early.
+    """:func:`simulate` by any contact model; an error in a step ends the motion early.
 
-    ``torques`` has one for each step at least [N m], ``progress`` shows a bar. The other arguments of numbers but
-    state and time have been checked.
+    ``torques`` has one for each step at least, or is that of any step [N m]; ``progress`` shows a bar. The other
+    arguments of numbers but state and time have been checked.
     """
     state, advance = as_restored(scene, state), exact_advance(scene)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
@@ -133,5 +121,6 @@ def recorded(
         simulator = make_simulator(scene, **setting._asdict())
         simulator.reset(state, time)
         advance = stepping_advance(simulator)
-    record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
-    return Motion(record, end=end)
+    with within_memory():
+        record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
+        return Motion(record, end=end)

@@ -172,10 +172,10 @@ class Simulator(ABC):
             dt = check.real("dt", dt, above=0.0)
         if torque is not None and not (type(torque) is float and -math.inf < torque < math.inf):
             torque = check.real("torque", torque)
-        state, time, mean, impacts = self.advance(dt, torque)
+        state, time, mean, impacts = self.step_checked(dt, torque)
         return StepResult(np.array(state), time, mean, impacts)
 
-    def advance(self, dt: float, torque: float | None) -> StepResult:
+    def step_checked(self, dt: float, torque: float | None) -> StepResult:
         """As :meth:`step`, for arguments that are checked. A later step may overwrite the result's state."""
         inside, thread = self._inside, get_ident()
         if inside.setdefault(0, thread) != thread:

@@ -30,7 +30,7 @@ Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the b
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import cast
 
@@ -132,7 +132,7 @@ class ExactSimulator(Simulator):
         present, held = self._present, torque is not None
         if torque is not None:
             self._control[0] = torque
-        if self._prepared != (dt, held) or self._cut[held]:
+        if self._prepared[held] != dt:
             self._prepare_step(dt, torque)
         into = 1 if present.state is self._states[0] else 0  # the state in the other block stays as it is
         if present.state is not self._states[1 - into]:
@@ -147,7 +147,7 @@ class ExactSimulator(Simulator):
                 raise failure(ended, self.scene, present.time, dt)
             call = self._calls[into] = call.with_room()  # and repeat the step
         impacts = recorded(call.memory.log[:hits], present.time) if hits else ()
-        return StepResult(self._states[into], present.time + dt, self._torques[into][0], impacts)
+        return _new(StepResult, (self._states[into], present.time + dt, self._torques[into][0], impacts))
 
     @property
     def evaluations(self) -> float:
@@ -180,7 +180,8 @@ class ExactSimulator(Simulator):
         self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
-        self._prepared: tuple[float, bool] | None = None  # dt, and whether a torque is held
+        # For steps of which dt [s] the arguments are set: under the drive, and under a held torque.
+        self._prepared: list[float | None] = [None, None]
         self._present = self._present._replace(state=self._as_stored(self._present.state))
 
     def _prepare_step(self, dt: float, torque: float | None) -> None:
@@ -194,10 +195,14 @@ class ExactSimulator(Simulator):
         rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared = None
+        self._prepared = [None, None]
         for into, call in enumerate(self._calls):
             call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
-        self._prepared = dt, held
+        if not self._cut[held]:
+            self._prepared[held] = dt
+
+
+_new: Callable[..., StepResult] = tuple.__new__  # twice as fast as StepResult(...)
 
 
 def _view(number: Array) -> memoryview[float]:

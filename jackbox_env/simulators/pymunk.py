@@ -79,6 +79,7 @@ _FINER = (1, 2, 4, 8, 16, 32, 64)  # by which a step too fast for its substeps i
 _UNRESOLVED = 1e-6  # of the energy in a step with contacts that strain the solver: it stopped short
 _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has ended; 0 would turn collisions off
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
+_ROUNDING = 1e-9  # over L: more than that of a gap
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
 _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
@@ -141,7 +142,7 @@ class PymunkSimulator(Simulator):
 
     @override
     def stepped(self, dt: float, torque: float | None) -> StepResult:
-        state, time = self._numbers, self.time
+        state, time = self._present[:2]
         end = end_of_step(time, dt)
         if self._may_touch(dt, torque):
             after, mean_torque = self._step_engine(dt, torque)
@@ -160,9 +161,14 @@ class PymunkSimulator(Simulator):
 
     def _may_touch(self, dt: float, torque: float | None) -> bool:
         """Whether a foot may reach a wall within ``dt`` [s]; flight is in closed form if none can."""
-        state, drive = self._numbers, self._drive
+        scene, state, drive = self.scene, self._numbers, self._drive
         bound = drive.torque_bound if torque is None else abs(torque)
-        return not clearance(self.scene, state) > reach(self.scene, state, dt, bound, drive.force_bound)
+        moves = reach(scene, state, dt, bound, drive.force_bound)
+        # Most often the circle through the feet is far enough from all walls.
+        distance = math.hypot(state[X_JACK] - state[X_BOX], state[Y_JACK] - state[Y_BOX])
+        if scene.box_half_width * (1.0 - _ROUNDING) - scene.jack_arm - distance > moves:
+            return False
+        return not clearance(scene, state) > moves
 
     def _step_engine(self, dt: float, torque: float | None) -> tuple[list[float], float]:
         """Step the engine, in substeps as fine as the speed needs; return state and mean torque."""

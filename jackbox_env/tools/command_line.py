@@ -44,7 +44,7 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
             sys.exit(2)
         except BrokenPipeError:
             sys.exit(_SIGPIPE_STATUS)
-        except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
+        except (ValueError, TypeError, OSError, RuntimeError, MemoryError, GymnasiumError) as error:
             print(_sentence(error), file=sys.stderr)
             sys.exit(2)
         except KeyboardInterrupt:
@@ -74,7 +74,7 @@ def _sentence(error: Exception) -> str:
     """The error's message; for an error of the system, with the file's name and without the error number."""
     if isinstance(error, OSError) and error.strerror and (error.filename is not None or error.errno in _UNWRITABLE):
         return f"{error.filename or 'standard output, or a file,'} cannot be used: {error.strerror}"
-    return str(error)
+    return str(error) or "there is not enough memory"
 
 
 def progress(text: str) -> None:

@@ -28,8 +28,8 @@ def replacing(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        if error.errno is not None:
-            error.filename = error.filename or str(path)  # the error of a full disk has no name
+        if error.errno is not None and error.filename in (None, str(partial)):  # the error of a full disk has no name
+            error.filename = str(path)
         raise
     finally:
         partial.unlink(missing_ok=True)

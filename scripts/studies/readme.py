@@ -67,7 +67,7 @@ def film_picture() -> None:
 
 def photograph_page() -> None:
     """Photograph the page to play on, in which the trained agent has just turned the box under the jack."""
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import expect, sync_playwright
 
     from scripts.site.build import ensure_page
 
@@ -76,7 +76,7 @@ def photograph_page() -> None:
         page = browser.new_page(viewport={"width": 1000, "height": 838})
         page.goto(ensure_page().as_uri())
         page.keyboard.press("a")
-        page.locator("#clock", has_text=re.compile("^3")).wait_for()
+        expect(page.locator("#clock")).to_have_text(re.compile("^3"), timeout=30_000)
         page.keyboard.press(" ")
         page.add_style_tag(content="#hint { visibility: hidden; }")
         page.screenshot(path=PAGE)

@@ -75,7 +75,9 @@ def test_simulate_writes_states_impacts_and_four_plots(tmp_path: Path) -> None:
     np.testing.assert_allclose(at_one_second, reference["states"][9]["state"], atol=1e-12)
     with (folder / "impacts.csv").open() as file:
         impacts = list(csv.DictReader(file))
-    assert list(impacts[0]) == ["time [s]", "wall", "foot", "impulse [N s]"]
+    names = list(impacts[0])
+    assert names[:5] == ["time [s]", "wall", "foot", "impulse [N s]", "before x_box [m]"]
+    assert (names[-2:], len(names)) == (["after omega_jack [rad/s]", "resting"], 4 + 2 * 12 + 1)
     known = reference["impacts"][:3]
     assert [(int(row["wall"]), int(row["foot"])) for row in impacts] == [(hit["wall"], hit["foot"]) for hit in known]
     np.testing.assert_allclose([float(row["time [s]"]) for row in impacts], [hit["time"] for hit in known], atol=1e-9)

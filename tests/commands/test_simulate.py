@@ -115,6 +115,20 @@ def test_a_film_shows_the_motion_at_any_step(
     assert "run" in capsys.readouterr().err
 
 
+def test_want_of_memory_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*arguments: object) -> None:
+        raise MemoryError
+
+    run(monkeypatch, tmp_path, "--seconds", "1e-9", "--folder", "short")
+    assert len((tmp_path / "short" / "states.csv").read_text().splitlines()) == 3
+    monkeypatch.setattr("jackbox_env.recording.files.write_csv", full)
+    with pytest.raises(SystemExit):
+        run(monkeypatch, tmp_path, "--seconds", "1")
+    assert capsys.readouterr().err == "there is not enough memory\n"
+
+
 def test_bars_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("tqdm")
     for terminal, shown, expected in ((True, True, True), (False, True, False), (True, False, False)):
@@ -231,6 +245,9 @@ def test_a_file_has_the_same_torques_for_simulate_and_fit(
         ("--torque empty.npz", "empty.npz: must be an npz file of jackbox simulate, got No data left in file"),
         ("--torque empty.csv", r"empty.csv, row 1: there must be a column torque \[N m\], got none"),
         ("--film run.avi", "a film must be a .gif or .mp4 file, got 'run.avi'"),
+        ("--film run.gif --folder run.gif", "film must be another path than folder, got 'run.gif'"),
+        ("--film run.gif --folder run.gif/deep", "film must be another path than folder, got 'run.gif'"),
+        ("--seconds 1e6", "duration / dt must be at most 10,000,000 steps, got 1e"),
         ("--film run.gif --seconds 61", "seconds of a film must be a finite number at most 60, got 61"),
         ('--gravity 3 --scene {"gravity":2}', "gravity must be chosen once, got 2 in --scene and 3 beside it"),
         ("--restitution 2", "restitution must be a finite number at least 0 and at most 1, got 2.0"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import jackbox_env
+import jackbox_env.recording.recorder
 from jackbox_env import Chirp, Drive, Motion, Scene, State, make_simulator, rollout, simulate
 from jackbox_env.mechanics import gaps, simultaneous_impact_map
 from tests.states import Array, inside, load, lying
@@ -105,6 +107,16 @@ def test_at_rest_the_jack_stays_on_its_feet_at_any_time() -> None:
     np.testing.assert_allclose(rows["before"][-1], motion.states[-1])
 
 
+def test_at_rest_a_state_is_that_of_a_shorter_step_bit_for_bit() -> None:
+    scene, simulator = Scene(restitution=0.5), make_simulator({"restitution": 0.5}, fidelity="exact")
+    motion = simulate(scene, lying(), 1.0, torque=800.0, dt=0.25)
+    assert motion._record.knots.held[:-1].all()
+    for time in (0.1, 0.3, 0.9):
+        step = int(time / 0.25)
+        simulator.reset(motion.states[step], float(motion.t[step]))
+        np.testing.assert_array_equal(motion(time), simulator.step(time - motion.t[step], 800.0).state)
+
+
 def test_without_the_engines_rest_a_foot_at_rest_would_fall(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = simulate(Scene(restitution=0.5, drive=None), lying(), 1.0, dt=0.25)
     height = motion.states[0, 4]
@@ -129,6 +141,21 @@ def test_energy_is_the_work_less_what_impacts_dissipate(restitution: float) -> N
     assert np.ptp(motion.work(times)) > 1e4
     np.testing.assert_allclose(gained, motion.work(times) - dissipated, rtol=0.0, atol=1e-6)
     assert motion.work()[0] == 0.0
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_impacts_of_several_feet_have_no_part_in_work(restitution: float, cases: Callable[[int], int]) -> None:
+    rng, times = np.random.default_rng(5), np.linspace(0.0, 4.0, 99)
+    scene = Scene(restitution=restitution, box_mass=30.0)
+    for _ in range(cases(20)):
+        start = np.zeros(12)
+        start[[9, 10]], start[5] = rng.uniform(-3.0, 3.0, 2), math.pi / 4.0  # two feet come down together
+        free = simulate(scene, start, 4.0, torque=0.0)
+        assert free.impacts["time"][0] == free.impacts["time"][1]
+        np.testing.assert_allclose(free.work(times), 0.0, rtol=0.0, atol=1e-9)
+        if restitution == 1.0:
+            turned = simulate(scene, start, 2.0, torque=lambda t: 0.0 if t < 1.6 else 10.0)
+            np.testing.assert_allclose(turned.energy() - turned.energy(0.0), turned.work(), rtol=0.0, atol=1e-9)
 
 
 # -- restarts ----------------------------------------------------------------------------------------------------------
@@ -181,6 +208,25 @@ def test_a_restart_goes_on_longer_and_restarts_again() -> None:
     held = simulate(torque=np.zeros(500))
     with pytest.raises(ValueError, match="duration must be at most 8.9.* s, as long as there are torques"):
         held.restart(0, 20.0)
+    with pytest.raises(ValueError, match=r"duration / dt must be at most 10,000,000 steps, got 1e\+09 / 0.02"):
+        whole.restart(3, 1e9)
+    again = simulate(torque=0.0, duration=2.0, until=1).restart(0, 5.0)
+    assert again.torques is not None
+    assert again.torques.tolist() == [0.0] * 251
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.003, 1e-4])
+@pytest.mark.parametrize("until", [None, "impact"])
+def test_a_restart_goes_to_the_nominal_end(dt: float, until: str | None) -> None:
+    torques = np.full(math.ceil(4.0 / dt - 1e-6), 3e4)
+    motion = simulate(torque=torques, duration=4.0, dt=dt, until=until)
+    again = motion.restart(0, 4.0 - float(motion.impacts["time"][0]))
+    whole = simulate(torque=torques, duration=4.0, dt=dt)
+    np.testing.assert_allclose(again.t[1:], whole.t[-len(again.t) + 1 :], rtol=0.0, atol=1e-12)
+    if until is None:
+        np.testing.assert_array_equal(again.states[-1], whole.states[-1])
+    for one in (whole, again, whole.restart(-1)):
+        np.testing.assert_allclose(one(4.0), one.states[-1], rtol=0.0, atol=1e-8)
 
 
 # -- events ------------------------------------------------------------------------------------------------------------
@@ -227,6 +273,46 @@ def test_a_foot_at_rest_is_no_impact_that_ends_a_motion() -> None:
     motion = simulate(Scene(restitution=0.5, drive=None), lying(), 1.0, until="impact")
     assert motion.t[-1] == pytest.approx(1.0)
     assert len(motion.impacts) == 100  # its weight, on two feet in each step
+    assert motion.impacts["resting"].all()
+    assert repr(motion) == "Motion(t from 0 to 1 s, 51 states, 0 impacts, dt = 0.02 s)"
+    both = simulate(Scene(restitution=0.5, drive=None), duration=8.0)
+    jumps = (both.impacts["before"] != both.impacts["after"]).any(axis=1)
+    np.testing.assert_array_equal(both.impacts["resting"], ~jumps)
+    assert 0 < both.impact_count < len(both.impacts)
+
+
+FAILING: dict[str, Any] = {
+    "array": np.where(np.arange(100) == 55, 1e300, 0.0),
+    "function": lambda t: 0.0 if t < 1.1 else 1.0 / 0.0,
+    "no number": lambda t: 0.0 if t < 1.1 else math.nan,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("torque", FAILING.values(), ids=FAILING)
+def test_a_failure_after_the_event_is_none(torque: Any) -> None:
+    motion = simulate(duration=2.0, torque=torque, until=1)
+    assert motion.t[-1] == motion.impacts["time"][0] == simulate(torque=0.0, until=1).t[-1]
+    assert motion.failure is None
+    assert simulate(duration=2.0, torque=torque, until=lambda s: s.vy_jack + 9.0).t[-1] == pytest.approx(9.0 / 9.81)
+    for late in (2, lambda s: s.vy_jack + 20.0, None):
+        with pytest.raises((jackbox_env.JackLostError, ZeroDivisionError, ValueError), match="t = 1.1|division|nan"):
+            simulate(duration=2.0, torque=torque, until=late)
+
+
+def test_a_function_that_fails_at_once_is_raised() -> None:
+    with pytest.raises(ZeroDivisionError):
+        simulate(torque=lambda t: 1.0 / 0.0)
+
+
+def test_the_first_state_is_the_start_and_an_impact_there_is_in_the_motion() -> None:
+    begun = simulate({"drive": None}, duration=2.0)
+    start = begun.impacts["before"][0]
+    for until in (None, 1, "impact"):
+        motion = simulate({"drive": None}, start, 1.0, until=until)
+        assert motion.impacts["time"][0] == 0.0
+        np.testing.assert_array_equal(motion.states[0], start)
+        np.testing.assert_array_equal(motion(0.0), motion.impacts["after"][0])
+        np.testing.assert_array_equal(motion(0.0, "before"), start)
 
 
 # -- the rest of the interface -----------------------------------------------------------------------------------------
@@ -238,6 +324,26 @@ def test_a_duration_that_is_no_multiple_of_dt_ends_with_a_shorter_step() -> None
     np.testing.assert_allclose(motion.states[-1], simulate(duration=0.05, dt=0.05).states[-1], rtol=0.0, atol=1e-14)
     assert len(simulate(duration=0.3, dt=0.1).t) == 4
     assert simulate(duration=0.01).t.tolist() == [0.0, 0.01]
+    assert simulate(duration=1e-9).t.tolist() == [0.0, 1e-9]
+    assert simulate(duration=1e-9, fidelity="balanced", torque=[3.0]).t.tolist() == [0.0, 1e-9]
+
+
+def test_a_pickled_motion_is_small() -> None:
+    motion = simulate({"drive": None}, duration=1.1, torque=0.0)
+    assert len(pickle.dumps(motion)) < 30_000
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(motion)).restart(0).t, motion.restart(0).t)
+    assert len(pickle.dumps(simulate(duration=1e5, torque=0.0, until=1))) < 100_000
+
+
+def test_want_of_memory_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise MemoryError
+
+    motion = simulate(duration=2.0)
+    monkeypatch.setattr(jackbox_env.recording.recorder, "joined_records", full)
+    for make in (simulate, lambda: motion.restart(0)):
+        with pytest.raises(MemoryError, match="does not fit into memory; use a shorter duration or a longer dt"):
+            make()
 
 
 def test_torques_are_numbers_functions_or_one_for_each_step() -> None:
@@ -262,12 +368,17 @@ def test_with_pymunk_there_are_states_at_control_steps_only(fidelity: str) -> No
     assert motion.impacts["impulse"].min() > 0.0
     for refused in (
         lambda: motion(0.1),
-        lambda: motion.work(),
+        lambda: motion.work(0.1),
         lambda: motion.impacts["after"],
+        lambda: motion.impacts[0]["before"],
+        lambda: pickle.loads(pickle.dumps(motion)).impacts[1:][0]["after"],
         lambda: motion.restart(0),
     ):
         with pytest.raises(ValueError, match="fidelity='exact'"):
             refused()
+    with pytest.raises(ValueError, match="work is summed over the flights between impacts, and this motion has states"):
+        motion.work()
+    assert motion.impacts[0]["impulse"] == motion.impacts["impulse"][0]
 
 
 def test_a_lost_jack_raises_and_what_came_before_is_not_lost() -> None:
@@ -302,6 +413,9 @@ def test_files_have_the_motion(tmp_path: Path, fidelity: str) -> None:
         motion.save(npz)
     with pytest.raises(ValueError, match="suffix of path must be one of '.npz', '.csv', '.mat', got '.xls'"):
         motion.save(tmp_path / "run.xls")
+    for suffix in (".npz", ".csv", ".mat"):
+        with pytest.raises(FileNotFoundError, match=f"missing/run{suffix}'$"):
+            motion.save(tmp_path / "missing" / f"run{suffix}")
 
 
 def test_a_frame_has_names_without_units_and_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,7 +209,8 @@ WITHOUT_ARGUMENTS = {
 }  # fmt: skip
 # These check nothing, for speed: their caller has checked the arguments.
 UNCHECKED = {
-    "Action", "JackInBoxVectorEnv.set_attr", "Observation", "Simulator.restore", "Simulator.stepped", "contacts_of",
+    "Action", "JackInBoxVectorEnv.set_attr", "Observation", "Simulator.restore", "Simulator.step_checked",
+    "Simulator.stepped", "contacts_of",
     "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.

@@ -43,7 +43,7 @@ class Present(NamedTuple):
 class ExactBatch:
     """As :class:`jackbox_env.envs.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
 
-    With a scene for each environment it is 152 bytes more.
+    With a scene for each environment it is 160 bytes more.
 
     A step, a reset and :meth:`set_states` write states into spare memory, which :meth:`take` exchanges with that in
     use. Generators and scenes are written in place after that, from ``starts`` in :class:`Present`. If an interruption

@@ -19,8 +19,10 @@ import numpy as np
 from jackbox_env import Recording, Scene, fit
 from jackbox_env.model.states import OMEGA_BOX, RATES, STATE_NAMES, THETA_BOX, Array
 from jackbox_env.model.tasks import sample_start
+from jackbox_env.tools.command_line import ROOT
 from scripts.studies.fitting.measured import followed
 
+FILE = Path("docs", "cam.csv")  # of the page's example
 TRUE = {"jack_mass": 4.6, "restitution": 0.9}
 START = {"jack_mass": 4.0, "restitution": 0.95}  # where the fits of long recordings begin
 HEADERS = ("box_x [mm]", "box_y [mm]", "box_angle [deg]", "ball_x [mm]", "ball_y [mm]", "ball_angle [deg]")
@@ -105,10 +107,9 @@ def fitted_alone(seconds: float) -> dict[str, float]:
 
 
 def printed() -> str:
-    """What the command prints of one file, but for its progress."""
-    with TemporaryDirectory() as folder:
-        write_camera_file(Path(folder, "cam.csv"))
-        command = [sys.executable, "-m", "jackbox_env", "fit", "cam.csv", *OPTIONS]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-    notes = [line for line in done.stderr.splitlines() if line.startswith("cam.csv")]
+    """What the command prints of the page's file, but for its progress."""
+    write_camera_file(ROOT / FILE)
+    command = [sys.executable, "-m", "jackbox_env", "fit", FILE.as_posix(), *OPTIONS]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    notes = [line for line in done.stderr.splitlines() if line.startswith(FILE.as_posix())]
     return "\n".join([*notes, *done.stdout.splitlines()])

@@ -1,0 +1,179 @@
+"""Files as trackers, loggers and spreadsheets write them: values and notes of each, or the sentence that refuses it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from jackbox_env import Chirp, Drive, Recording, Scene
+from jackbox_env.commands import simulate
+from jackbox_env.commands.fit import column_names, read_recording
+from jackbox_env.model.states import STATE_NAMES
+
+FILES = Path(__file__).parents[1] / "data" / "files"
+STILL = Scene(drive=None)
+X = {"x_jack": [0.5, -0.25, 0.125]}
+XY, ANGLES = {**X, "y_jack": [1.0, 1.0, math.nan]}, {"theta_jack": [math.pi / 2, math.pi / 4, 0.0]}
+TORQUES = [30.0, 1.0]
+BALL = "time=t,x_jack=ball (left)"
+
+
+class Case(NamedTuple):
+    """A file, and what it gives."""
+
+    file: str
+    torques: list[float] | None = None
+    states: dict[str, list[float]] = X
+    dt: float = 0.1
+    notes: tuple[str, ...] = ()
+    columns: str = ""  # of the command
+    frames: int = 3
+    refused: str = ""  # the sentence
+    scene: Scene = STILL
+
+
+def left_out(headers: str) -> str:
+    return f"left out, because no name stands for them: {headers}"
+
+
+def before(rows: str) -> str:
+    return f"left out, because it is before the headers: {rows}"
+
+
+UNIX = "times count from the first row, at {:.10g} s"
+MISSING = "4 of 60 frames are missing, and left open"
+ROUNDED: dict[str, Any] = {"frames": 60, "states": {}}
+CASES = [
+    # Encodings and ends of lines.
+    Case("comma.csv", TORQUES),
+    Case("bom_crlf.csv", TORQUES),
+    Case("old_mac.csv", TORQUES),
+    Case("utf16.csv", TORQUES),
+    Case("utf16_big_endian.csv", TORQUES),
+    Case("utf16_no_mark.csv", TORQUES),
+    Case("cp1252.csv", states=ANGLES, columns="time=time", notes=(left_out("Größe"),)),
+    Case("sheet.csv", refused="sheet.csv: must be a text file or an npz file; save a spreadsheet as CSV"),
+    # Delimiters and decimal commas.
+    Case("tabs.txt", TORQUES),
+    Case("semicolons.csv", TORQUES),
+    Case("bars.csv", TORQUES),
+    Case("spaces.dat"),
+    Case("excel_sep.csv", TORQUES),
+    Case("decimal_commas.csv", TORQUES),
+    Case("decimal_commas_tabs.txt", TORQUES),
+    Case("decimal_commas_quoted.csv"),
+    Case(
+        "decimal_commas_between_commas.csv",
+        refused="row 2: must have 2 cells like row 1, with commas between and points in numbers, got 4",
+    ),
+    Case("decimal_commas_version.csv", columns="time=time", notes=(left_out("version"),)),
+    Case("thousands.csv", refused="commas must be in all decimal numbers or in none, and in no thousands, got '1,500'"),
+    Case("points_and_commas.csv", refused="must be in all decimal numbers or in none, and in no thousands, got '-1,25"),
+    Case("trailing.csv", TORQUES, columns="time=time"),
+    Case("trailing_in_rows.csv"),
+    Case("cut.csv", refused="row 4: must have 2 cells like row 1, with commas between and points in numbers, got 1"),
+    Case("cut_tabs.txt", refused="row 4: must have 2 cells like row 1, with tabs between and points in numbers, got 1"),
+    # Rows before the numbers.
+    Case("comments.csv", TORQUES),
+    Case("savetxt.txt"),
+    Case("savetxt_commas.csv"),
+    Case("no_headers.csv", refused="row 1: must have names of columns, got 0, 0.5"),
+    Case("preamble.csv", TORQUES, notes=(before("row 1, row 2, row 3"),)),
+    Case("labview.lvm", columns="time=X_Value", notes=(before("row 1, row 2, row 3"), left_out("Comment"))),
+    Case("units_row.csv", TORQUES),
+    Case("units_row_bare.csv", TORQUES),
+    Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(before("row 1"),)),
+    Case(
+        "tracker_two.txt",
+        columns="time=t,x_jack=mass B x",
+        notes=(left_out("mass A x, mass A y, mass B y"),),
+    ),
+    Case("tracker_two.txt", refused="row 3: column 't' must be one of time [s]"),
+    Case("deeplabcut.csv", refused="row 1: this is a table of DeepLabCut, of frames and pixels; write one row of head"),
+    # Cells.
+    Case(
+        "missing.csv",
+        states={
+            **X,
+            "y_jack": [math.nan, 1.0, math.nan],
+            "theta_box": [math.nan, 1.0, math.nan],
+            "theta_jack": [math.nan, 1.0, math.nan],
+            "y_box": [math.nan, 1.0, math.nan],
+            "x_box": [0.0, 0.0, math.nan],
+        },
+    ),
+    Case("minus.csv"),
+    Case("underscore.csv", refused="row 3, column x_jack: must be a number or empty, got '1_0'"),
+    Case("clock.csv", refused="row 2, column time: must be a number or empty, got '12:00:00.0'"),
+    # Columns that are left out.
+    Case("left_out.csv", TORQUES, columns="time=time", notes=(left_out("clock, note, note"),)),
+    Case("left_out.csv", refused="row 1: column 'clock' must be one of time [s], x_box [m], "),
+    Case("pandas_index.csv"),
+    Case("frame.csv", columns="time=time", notes=(left_out("frame"),)),
+    Case("frame.csv", refused="torque [N m]; --columns (in Python names=) reads other headers"),
+    # Units.
+    Case("parentheses.csv", TORQUES, {**X, "omega_jack": [math.pi, math.pi / 2, 0.0]}),
+    Case("slashes.csv", TORQUES),
+    Case("greek_mu.csv"),
+    Case("unknown_parentheses.csv", refused="column 'x_jack (furlongs)' must be in one of the units m, cm, mm, "),
+    Case("word_in_parentheses.csv", columns=BALL, refused="must be in one of the units m, cm, mm, um, µm, got 'left'"),
+    Case("word_in_parentheses.csv", columns=f"{BALL} [m]"),
+    Case("vernier.csv", columns="time=Latest: Time,x_jack=Latest: Position"),
+    Case("two_units.csv", columns="x_jack=x (mm)", notes=(left_out("x (px)"),)),
+    Case("two_units.csv", columns="x_jack=x", notes=(left_out("x (px)"),)),
+    Case("empty_unit.csv", refused="column 'x_jack []' must be in one of the units m, cm, mm, um, µm, got ''"),
+    Case("parentheses.csv", columns="x_jack=x_jack [cm]", refused="(mm)' has another unit than 'cm', chosen for it"),
+    Case("parentheses.csv", TORQUES, columns="x_jack=x_jack [mm]"),
+    # Unix times.
+    Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),)),
+    Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),), scene=Scene()),  # a chirp is replaced by the torques
+    Case("unix.csv", scene=Scene(drive=Drive(force_x=math.sin)), refused="the scene's drive depends on the time"),
+    Case("unix_no_torque.csv", notes=(UNIX.format(1.7e9),)),
+    Case("unix_no_torque.csv", scene=Scene(drive=Chirp()), refused="--torque none if nothing turns the box"),
+    # Times as they are rounded.
+    Case("rounded_60fps_1ms.csv", dt=1 / 60, **ROUNDED),
+    Case("rounded_240fps_1ms.csv", dt=1 / 240, **ROUNDED),
+    Case("rounded_30fps_10ms.csv", dt=1 / 30, **ROUNDED),
+    Case("truncated_30fps_10ms.csv", dt=1 / 30, **ROUNDED),
+    Case("rounded_60fps_10ms.csv", dt=1 / 60, **ROUNDED),
+    Case("rounded_60fps_10ms_dropped.csv", dt=1 / 60, notes=(MISSING,), **ROUNDED),
+    Case("rounded_240fps_1ms_dropped.csv", dt=1 / 240, notes=(MISSING,), **ROUNDED),
+    Case("rounded_100fps_10ms_dropped.csv", dt=1 / 100, notes=(MISSING,), **ROUNDED),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.file} {case.columns}{' refused' * bool(case.refused)}")
+def test_a_file_is_read_or_a_sentence_says_why_not(case: Case) -> None:
+    def read() -> Recording:
+        return read_recording(FILES / case.file, case.scene, names=column_names(case.columns))
+
+    if case.refused:
+        with pytest.raises(ValueError, match=r"^[^\n]*$") as refused:
+            read()
+        assert str(refused.value).startswith(str(FILES / case.file))
+        assert case.refused in str(refused.value)
+        return
+    recording = read()
+    assert recording.notes == case.notes
+    assert len(recording.states) == case.frames
+    assert recording.dt == pytest.approx(case.dt, rel=2e-3)
+    assert (recording.torques if recording.torques is None else recording.torques.tolist()) == (
+        case.torques and pytest.approx(case.torques)
+    )
+    for name, values in case.states.items():
+        np.testing.assert_allclose(recording.states[:, STATE_NAMES.index(name)], values, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "case", [case for case in CASES if case.torques and "unix" not in case.file], ids=lambda c: c.file
+)
+def test_simulate_reads_the_same_torques_as_fit(case: Case) -> None:
+    assert simulate._torques(FILES / case.file, case.dt).tolist() == pytest.approx(case.torques)
+
+
+def test_each_file_is_tried() -> None:
+    assert {case.file for case in CASES} == {path.name for path in FILES.iterdir()}
