@@ -59,8 +59,6 @@ _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts wer
 _LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
-_REST_CHECKED = 1.0  # [s] of such a stretch; later errors have grown through many bounces
-_REST_NEAR = 0.03  # half widths, root mean square of a jack at rest from where the model rests
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
@@ -136,6 +134,7 @@ class _Search:
         self._observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCK if self._observed.all() else _INCOMPLETE_BLOCK
         self._windows: list[Window] = []
+        self._resting_steps = 0  # in no window because the jack rests there, or bounces that pile up
         self._dropped: list[Window] = []  # explained at first, and left out of the search
         self._fewest = 0  # windows that stay
         self._numbers = parameters.of(parameters.start)
@@ -295,7 +294,9 @@ class _Search:
     def _cut_between(self, number: int, flights: Flights, guess: Guess) -> None:
         """Cut a recording into windows between the middles of flights, those which the model explains."""
         recording, numbers = self._recordings[number], self._numbers
-        for window in windows_of(recording, number, self._parameters.scene(numbers), flights, guess):
+        windows = windows_of(recording, number, self._parameters.scene(numbers), flights, guess, self._noise)
+        self._resting_steps += len(recording.states) - 1 - sum(window.last - window.first for window in windows)
+        for window in windows:
             if not followed(window, motion(recording, window, self._parameters, numbers)):
                 continue
             if not self._explained([window]):
@@ -311,17 +312,17 @@ class _Search:
 
     def _cut_first(self) -> None:
         """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
-        furthest, best = -1, (self._numbers, self._windows)
+        furthest, best = -1, (self._numbers, self._windows, 0)
         for numbers, state in list(self._first_guesses()):
-            self._numbers, self._windows = numbers, []
+            self._numbers, self._windows, self._resting_steps = numbers, [], 0
             self._progress.reset()
             complete = self._cut(0, state)
             covered = sum(window.last - window.first for window in self._windows)
             if covered > furthest:
-                furthest, best = covered, (self._numbers, self._windows)
+                furthest, best = covered, (self._numbers, self._windows, self._resting_steps)
             if complete:
                 break
-        self._numbers, self._windows = best
+        self._numbers, self._windows, self._resting_steps = best
 
     def _first_guesses(self) -> Iterator[tuple[Array, Array]]:
         """Guesses of the fields' numbers and of the first state."""
@@ -343,6 +344,7 @@ class _Search:
             if window is None:  # at rest
                 pause = max(1, round(_REST_SKIPPED / recording.dt))
                 window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
+                self._resting_steps += window.last - first
                 end, first, linked = end_state(recording, window, self._parameters, self._numbers), window.last, False
                 continue
             if linked:
@@ -479,7 +481,7 @@ class _Search:
         for rows_of, one in zip(self._bad_rows, self._recordings, strict=True):
             if len(rows_of) > _MOST_BAD * len(one.states):
                 yield f"{len(rows_of)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-        skipped = left_out - self._resting_steps()
+        skipped = left_out - self._resting_steps
         if skipped > _MOST_SKIPPED * covered:
             yield f"{skipped} steps could not be followed"
         if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
@@ -509,24 +511,6 @@ class _Search:
                 column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
                 away = f"{abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]}"
                 yield f"row {row}{recording}: {STATE_NAMES[column]} is {away} off"
-
-    def _resting_steps(self) -> int:
-        """Steps in no window, in which the model rests or its bounces pile up, at first near the observed jack."""
-        total, windows = 0, self._windows
-        for index, window in enumerate(windows):
-            recording, end = self._recordings[window.recording], len(self._recordings[window.recording].states) - 1
-            if index + 1 < len(windows) and windows[index + 1].recording == window.recording:
-                end = windows[index + 1].first
-            if end > window.last:
-                start = end_state(recording, window, self._parameters, self._numbers)
-                pause = Window(window.recording, window.last, end, start=start)
-                modelled = motion(recording, pause, self._parameters, self._numbers)
-                if modelled is not None and not followed(pause, modelled):
-                    off = (modelled.states - recording.states[pause.first : end + 1])[:, X_JACK : Y_JACK + 1]
-                    off = off[: math.ceil(_REST_CHECKED / recording.dt)]
-                    near = np.nanmean(off**2) if np.isfinite(off).any() else 0.0
-                    total += (end - pause.first) * (near < (_REST_NEAR * self._units[X_JACK]) ** 2)
-        return total
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""

@@ -38,6 +38,7 @@ _JACK = slice(X_JACK, RATES)
 LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
+_FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _FEW = 2  # impacts, fewer of which give no ratio
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
 _STRAIGHT = 0.98  # cosine of the angle between a wall's normal and the change of velocity, at least
@@ -77,7 +78,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     times = rows * recording.dt
     first = _merged(times, straight[rows, _JACK] / noise[_JACK])
     ends = np.append(first[1:], len(rows))
-    enough = ends - first >= LEAST_ROWS
+    enough = (ends - first >= LEAST_ROWS) & (times[ends - 1] - times[first] >= shortest(recording, scene, noise))
     first, ends = first[enough], ends[enough]
     lines, scatter = np.full((len(first), RATES, 2), np.nan), np.zeros((len(first), 2))
     for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
@@ -91,6 +92,13 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
     return Flights(rows[first], rows[ends - 1], lines, scatter)
+
+
+def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
+    """Duration [s] from which a flight is told from rest: its fall is known to a sixth, from rows at even times."""
+    fall = max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
+    spread = 180.0 * (_FALLING * noise[Y_JACK] / fall) ** 2 * recording.dt
+    return max(_LASTING, float(spread**0.2))
 
 
 def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Array]:
@@ -260,22 +268,25 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     return guess
 
 
-def windows_of(recording: Recording, number: int, scene: Scene, flights: Flights, guess: Guess) -> list[Window]:
+def windows_of(
+    recording: Recording, number: int, scene: Scene, flights: Flights, guess: Guess, noise: Array
+) -> list[Window]:
     """Windows from the middle of each flight to that of the next, with starts on the flights' lines."""
-    lasting = np.flatnonzero((flights.last - flights.first) * recording.dt >= _LASTING)
-    steps = (flights.first + flights.last)[lasting] // 2
+    steps, lines = (flights.first + flights.last) // 2, flights.lines
     if len(steps) == 0:
         return []
-    steps[0] = flights.first[lasting[0]]
-    times, lines = steps * recording.dt, flights.lines[lasting]
+    steps[0] = flights.first[0]
+    times = steps * recording.dt
     states = state_on(recording, scene, lines, times)
     straight = lines[:, X_JACK : Y_JACK + 1]
     states = guess.with_centre(states, straight[:, :, 0] + straight[:, :, 1] * times[:, None], straight[:, :, 1], times)
-    ends = np.append(steps[1:], flights.last[lasting[-1]])
+    ends = np.append(steps[1:], flights.last[-1])
+    apart = np.append(flights.first[1:] - flights.last[:-1], 0) * recording.dt
+    hop = max(_CLOSE * recording.dt, shortest(recording, scene, noise))
     return [
         Window(number, first, last, start=state)
-        for first, last, state in zip(steps.tolist(), ends.tolist(), states, strict=True)
-        if last > first
+        for first, last, state, rest in zip(steps.tolist(), ends.tolist(), states, apart.tolist(), strict=True)
+        if last > first and rest <= hop
     ]
 
 
