@@ -28,7 +28,8 @@ _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns,
 # Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
 # estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
 UNIDENTIFIABLE = 0.5
-_NEGLIGIBLE = 0.1  # decrease of the sum of squares, in which an estimate moves by 0.3 of its standard deviation at most
+_NEAR_THE_END = 0.3  # standard deviations that the fields may still move where a search ends
+_NEGLIGIBLE = 0.1  # decrease of a window's squares, in which its start moves by 0.3 of its standard deviation at most
 _COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
@@ -256,7 +257,9 @@ def minimise(
                 blocking, last = np.flatnonzero(excess > _BLOCKING * excess.max()), True
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
             step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
-            return unknowns, step.decrease < _NEGLIGIBLE or _small(step.unknowns, unknowns), blocking
+            away = float(np.linalg.norm(Chain(rows, windows).information() @ step.fields))
+            ended = (away < _NEAR_THE_END and step.decrease < _NEGLIGIBLE * windows) or _small(step.unknowns, unknowns)
+            return unknowns, ended, blocking
     return unknowns, False, blocking
 
 

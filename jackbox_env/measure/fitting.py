@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Indices, Rows, minimise
-from jackbox_env.measure.flights import Flights, Guess, flights_of, guess_of, spikes_of, windows_of
+from jackbox_env.measure.flights import Guess, flights_of, guess_of, spans_of, spikes_of, starts_of
 from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, pushed, rough_noise, state_at
 from jackbox_env.measure.residuals import (
     autocorrelations,
@@ -45,7 +46,7 @@ from jackbox_env.measure.shooting import (
     units,
 )
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, THETA_JACK, X_JACK, Y_JACK, Array
+from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, THETA_JACK, X_JACK, Array
 from jackbox_env.tools import checks as check
 
 try:
@@ -69,7 +70,7 @@ _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units o
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _MOST_SETTLED = 12  # searches with one slack
-_MOST_DROPPED = 0.1  # windows that may turn out not to fit as links are tightened, where an impact is nearly another
+_MAY_DROP, _MOST_DROPPED = 2, 0.1  # windows, or their share, that may turn out not to fit as links are tightened
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
@@ -131,21 +132,22 @@ class _Search:
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
         self._bad_rows = [spikes_of(one, parameters.start, self._noise) for one in recordings]
         self._recordings = [one.without(rows) for one, rows in zip(recordings, self._bad_rows, strict=True)]
+        self._flights = [flights_of(one, parameters.start, self._noise) for one in self._recordings]
         self._observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCK if self._observed.all() else _INCOMPLETE_BLOCK
         self._windows: list[Window] = []
-        self._resting_steps = 0  # in no window because the jack rests there, or bounces that pile up
-        self._dropped: list[Window] = []  # explained at first, and left out of the search
+        self._resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
+        self._left_out: list[Window] = []  # that the model does not explain
         self._fewest = 0  # windows that stay
         self._numbers = parameters.of(parameters.start)
 
     def fit(self) -> Fit:
         """Cut the recordings into windows, then fit all windows together."""
-        sure, flights = self._guess()
+        guesses = self._guess()
         for number, recording in enumerate(self._recordings):
-            before, cut = len(self._windows), flights[number]
-            if sure and cut is not None:
-                self._cut_between(number, *cut)
+            before, guess = len(self._windows), guesses[number]
+            if guess is not None:
+                self._cut_between(number, guess)
             if len(self._windows) == before and number:
                 self._cut(number, state_at(recording))
             elif len(self._windows) == before:
@@ -161,12 +163,13 @@ class _Search:
         self._settle(_LINK_SLACKS[0])
         self._leave_out_bad_rows()
         self._without_misfits(_LINK_SLACKS[0], len(self._windows))
-        self._fewest = math.ceil((1.0 - _MOST_DROPPED) * len(self._windows))
+        self._resume()
+        self._fewest = len(self._windows) - max(_MAY_DROP, math.floor(_MOST_DROPPED * len(self._windows)))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
+            if slack == _LINK_SLACKS[-1]:
+                self._resume()
             ended = self._settle(slack)
             if self._without_misfits(slack, len(self._windows) - self._fewest):
-                ended = self._settle(slack)
-            if slack == _LINK_SLACKS[-1] and self._resume():
                 ended = self._settle(slack)
             shooting = Shooting(self._recordings, self._parameters, self._windows)
             chain = Chain(self._rows(shooting, slack), len(self._windows))
@@ -195,29 +198,29 @@ class _Search:
     def _drop(self, indices: Sequence[int]) -> None:
         """Leave windows out, for :meth:`_resume`."""
         _unlink(self._windows, indices)
-        self._dropped += [self._windows[index] for index in indices]
+        self._left_out += [self._windows[index] for index in indices]
         self._windows = [window for index, window in enumerate(self._windows) if index not in indices]
 
-    def _resume(self) -> bool:
-        """Take back windows that the model explains from where the ones before end; return whether there are any.
-
-        There the fields and the start are known so well that the order of impacts is, too.
-        """
+    def _resume(self) -> None:
+        """Take back windows that the model explains by now from where the ones before them end."""
         before = {(window.recording, window.last): window for window in self._windows}
-        after = {(window.recording, window.first): window for window in self._windows}
-        count = len(self._windows)
-        for window in sorted(self._dropped, key=lambda one: (one.recording, one.first)):
-            previous, following = (
-                near.get((window.recording, at)) for near, at in ((before, window.first), (after, window.last))
-            )
-            if previous is not None and following is not None:
-                window.start = end_state(self._recordings[window.recording], previous, self._parameters, self._numbers)
-                if self._explained([window]):
-                    previous.linked = window.linked = True
-                    self._windows.append(window)
+        for window in sorted(self._left_out, key=lambda one: (one.recording, one.first)):
+            previous = before.get((window.recording, window.first))
+            if previous is None:
+                continue
+            window.start = end_state(self._recordings[window.recording], previous, self._parameters, self._numbers)
+            modelled = motion(self._recordings[window.recording], window, self._parameters, self._numbers)
+            if followed(window, modelled) and self._explained([window]):
+                self._left_out.remove(window)
+                self._windows.append(window)
+                before[window.recording, window.last] = window
         self._windows.sort(key=lambda one: (one.recording, one.first))
-        self._dropped = []
-        return len(self._windows) > count
+        self._link()
+
+    def _link(self) -> None:
+        """Link each window to the next one if that begins where it ends."""
+        for window, after in pairwise(self._windows):
+            window.linked = (window.recording, window.last) == (after.recording, after.first)
 
     # -- solving ------------------------------------------------------------------------------------------------------
 
@@ -262,67 +265,57 @@ class _Search:
 
     # -- cutting recordings into windows ------------------------------------------------------------------------------
 
-    def _guess(self) -> tuple[bool, list[tuple[Flights, Guess] | None]]:
-        """Set the fields' numbers to those that the impacts determine.
-
-        Returns whether these are all, and the flights of each recording.
-        """
-        scene, found, best = (
-            self._parameters.start,
-            list[tuple[Flights, Guess] | None](),
-            dict[str, tuple[float, float]](),
-        )
-        for recording in self._recordings:
-            flights = flights_of(recording, scene, self._noise)
-            found.append(
-                flights and (flights, guess_of(recording, scene, flights, self._noise, self._parameters.fields))
-            )
-            for name, value in found[-1][1].values.items() if found[-1] else ():
+    def _guess(self) -> list[Guess | None]:
+        """Set the fields' numbers to those that the impacts determine, and return guesses if these are all."""
+        scene, fields, best = self._parameters.start, self._parameters.fields, dict[str, tuple[float, float]]()
+        guesses = [
+            None if flights is None else guess_of(recording, scene, flights, self._noise, fields)
+            for recording, flights in zip(self._recordings, self._flights, strict=True)
+        ]
+        for guess in guesses:
+            for name, value in guess.values.items() if guess else ():
                 best[name] = min(best.get(name, value), value, key=lambda one: one[1])
-        sure = {name: value for name, (value, deviation) in best.items() if deviation < _SURE}
-        self._guessed_width = np.array([3.0 * best.get(name, (0.0, np.inf))[1] for name in self._parameters.fields])
-        known = scene.changed(
-            **{
-                name: min(value, 1.0) if name == "restitution" else value
-                for name, value in sure.items()
-                if name in self._parameters.fields
-            }
-        )
-        self._numbers = np.clip(self._parameters.of(known), self._parameters.low, self._parameters.high)
-        return {*sure} >= {*self._parameters.fields}, found
+        deviations = np.array([best.get(name, (0.0, np.inf))[1] for name in fields])
+        self._guessed_width = 3.0 * deviations
+        sure = {name: best[name][0] for name, deviation in zip(fields, deviations, strict=True) if deviation < _SURE}
+        if "restitution" in sure:
+            sure["restitution"] = min(sure["restitution"], 1.0)
+        known = self._parameters.of(scene.changed(**sure))
+        self._numbers = np.clip(known, self._parameters.low, self._parameters.high)
+        return guesses if len(sure) == len(fields) else [None] * len(guesses)
 
-    def _cut_between(self, number: int, flights: Flights, guess: Guess) -> None:
+    def _cut_between(self, number: int, guess: Guess) -> None:
         """Cut a recording into windows between the middles of flights, those which the model explains."""
-        recording, numbers = self._recordings[number], self._numbers
-        windows = windows_of(recording, number, self._parameters.scene(numbers), flights, guess, self._noise)
-        self._resting_steps += len(recording.states) - 1 - sum(window.last - window.first for window in windows)
-        for window in windows:
+        recording, numbers, flights = self._recordings[number], self._numbers, self._flights[number]
+        assert flights is not None
+        starts = starts_of(recording, self._parameters.scene(numbers), flights, guess)
+        for (first, last), start in zip(spans_of(flights).values(), starts, strict=True):
+            window = Window(number, first, last, start=start)
             if not followed(window, motion(recording, window, self._parameters, numbers)):
+                self._left_out.append(window)
                 continue
             if not self._explained([window]):
                 mean, width = self._prior([window])
                 width[: len(numbers)], width[len(numbers) :] = self._guessed_width, _PRIOR_FLIGHT_WIDTH
                 near = Shooting(self._recordings, self._parameters, [window], (mean, width))
                 self._solve(near, _LINK_SLACKS[0], most=20)
-            if self._explained([window]):
-                if self._windows and (self._windows[-1].recording, self._windows[-1].last) == (number, window.first):
-                    self._windows[-1].linked = True
-                self._windows.append(window)
+            (self._windows if self._explained([window]) else self._left_out).append(window)
             self._numbers = numbers
+        self._link()
 
     def _cut_first(self) -> None:
         """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
         furthest, best = -1, (self._numbers, self._windows, 0)
         for numbers, state in list(self._first_guesses()):
-            self._numbers, self._windows, self._resting_steps = numbers, [], 0
+            self._numbers, self._windows, self._resting_steps[0] = numbers, [], 0
             self._progress.reset()
             complete = self._cut(0, state)
             covered = sum(window.last - window.first for window in self._windows)
             if covered > furthest:
-                furthest, best = covered, (self._numbers, self._windows, self._resting_steps)
+                furthest, best = covered, (self._numbers, self._windows, self._resting_steps[0])
             if complete:
                 break
-        self._numbers, self._windows, self._resting_steps = best
+        self._numbers, self._windows, self._resting_steps[0] = best
 
     def _first_guesses(self) -> Iterator[tuple[Array, Array]]:
         """Guesses of the fields' numbers and of the first state."""
@@ -344,7 +337,7 @@ class _Search:
             if window is None:  # at rest
                 pause = max(1, round(_REST_SKIPPED / recording.dt))
                 window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
-                self._resting_steps += window.last - first
+                self._resting_steps[number] += window.last - first
                 end, first, linked = end_state(recording, window, self._parameters, self._numbers), window.last, False
                 continue
             if linked:
@@ -462,7 +455,7 @@ class _Search:
         if (gaps > _WIDEST_JUMP).any():
             open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in self._windows)} links"
             yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
-        joints, links = len(self._windows) - len(self._recordings), sum(one.linked for one in self._windows)
+        links, (joints, skipped) = sum(one.linked for one in self._windows), self._not_followed()
         if 2 * links < joints:
             yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
         misfits, unheard = int(misfitting(rows, len(self._windows)).sum()), int((rows.column == UNHEARD).sum())
@@ -481,7 +474,6 @@ class _Search:
         for rows_of, one in zip(self._bad_rows, self._recordings, strict=True):
             if len(rows_of) > _MOST_BAD * len(one.states):
                 yield f"{len(rows_of)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-        skipped = left_out - self._resting_steps
         if skipped > _MOST_SKIPPED * covered:
             yield f"{skipped} steps could not be followed"
         if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
@@ -511,6 +503,19 @@ class _Search:
                 column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
                 away = f"{abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]}"
                 yield f"row {row}{recording}: {STATE_NAMES[column]} is {away} off"
+
+    def _not_followed(self) -> tuple[int, int]:
+        """How many windows should be linked to the next one, and steps that are in none though the jack moves there."""
+        joints, steps = 0, 0
+        for number, (modelled, flights) in enumerate(zip(self._motions()[0], self._flights, strict=True)):
+            missing = np.isnan(modelled[1:, X_JACK])
+            if flights is None:
+                joints += sum(window.recording == number for window in self._windows) - 1
+                steps += int(missing.sum()) - self._resting_steps[number]
+            else:
+                joints += int((flights.follows[1:] & flights.follows[:-1]).sum())
+                steps += sum(int(missing[first:last].sum()) for first, last in spans_of(flights).values())
+        return joints, steps
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from jackbox_env.measure.chain import Indices
 from jackbox_env.measure.recordings import Recording
-from jackbox_env.measure.shooting import Window
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import (
@@ -49,6 +49,7 @@ class Flights(NamedTuple):
 
     first: Indices  # row, shape (n,)
     last: Indices  # row, in the flight
+    follows: NDArray[np.bool_]  # whether the next flight begins after an impact, or a short hop; else the jack rests
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     scatter: Array  # standard deviations of these lines at the middle of a flight and of their slopes, (n, 2)
 
@@ -91,7 +92,9 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
             if known.sum() >= LEAST_ROWS:
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
-    return Flights(rows[first], rows[ends - 1], lines, scatter)
+    first, last = rows[first], rows[ends - 1]
+    hop = max(_CLOSE, shortest(recording, scene, noise) / recording.dt)
+    return Flights(first, last, np.append(first[1:] - last[:-1] <= hop, False), lines, scatter)
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
@@ -268,26 +271,22 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     return guess
 
 
-def windows_of(
-    recording: Recording, number: int, scene: Scene, flights: Flights, guess: Guess, noise: Array
-) -> list[Window]:
-    """Windows from the middle of each flight to that of the next, with starts on the flights' lines."""
-    steps, lines = (flights.first + flights.last) // 2, flights.lines
-    if len(steps) == 0:
-        return []
-    steps[0] = flights.first[0]
-    times = steps * recording.dt
-    states = state_on(recording, scene, lines, times)
+def spans_of(flights: Flights) -> dict[int, tuple[int, int]]:
+    """Steps from the middle of each flight to that of the next one if that follows, by the flight's index."""
+    middles = (flights.first + flights.last) // 2
+    if len(middles):
+        middles[0] = flights.first[0]
+    return {int(index): (int(middles[index]), int(middles[index + 1])) for index in np.flatnonzero(flights.follows)}
+
+
+def starts_of(recording: Recording, scene: Scene, flights: Flights, guess: Guess) -> Array:
+    """States on the flights' lines where the spans begin, (n, 12)."""
+    spans = spans_of(flights)
+    times, lines = np.array([first for first, _ in spans.values()]) * recording.dt, flights.lines[[*spans]]
     straight = lines[:, X_JACK : Y_JACK + 1]
-    states = guess.with_centre(states, straight[:, :, 0] + straight[:, :, 1] * times[:, None], straight[:, :, 1], times)
-    ends = np.append(steps[1:], flights.last[-1])
-    apart = np.append(flights.first[1:] - flights.last[:-1], 0) * recording.dt
-    hop = max(_CLOSE * recording.dt, shortest(recording, scene, noise))
-    return [
-        Window(number, first, last, start=state)
-        for first, last, state, rest in zip(steps.tolist(), ends.tolist(), states, apart.tolist(), strict=True)
-        if last > first and rest <= hop
-    ]
+    place = straight[:, :, 0] + straight[:, :, 1] * times[:, None]
+    states = state_on(recording, scene, lines, times)
+    return guess.with_centre(states, place, straight[:, :, 1], times)
 
 
 def _masses(
