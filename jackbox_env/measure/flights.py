@@ -92,6 +92,8 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
             if known.sum() >= LEAST_ROWS:
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
+    if not enough.any():
+        return None
     first, last = rows[first], rows[ends - 1]
     hop = max(_CLOSE, shortest(recording, scene, noise) / recording.dt)
     return Flights(first, last, np.append(first[1:] - last[:-1] <= hop, False), lines, scatter)
@@ -243,7 +245,7 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
         rows.append(block / deviations)
         known.append(at[seen, axis] / deviations[:, 0])
     size, ratio = scene.box_half_width, scene.jack_mass / scene.box_mass
-    begin = np.nanmedian(at[:, X_JACK : Y_JACK + 1], axis=0)
+    begin = np.median(at[:, X_JACK : Y_JACK + 1], axis=0)
     prior = np.concatenate([begin, np.zeros(2), [ratio], np.zeros(len(lengths))])
     widths = np.concatenate(
         [[9.0 * size] * 2, [9.0 * scene.speed_scale] * 2, [2.0 * ratio], [0.3 * size] * len(lengths)]
@@ -274,8 +276,7 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
 def spans_of(flights: Flights) -> dict[int, tuple[int, int]]:
     """Steps from the middle of each flight to that of the next one if that follows, by the flight's index."""
     middles = (flights.first + flights.last) // 2
-    if len(middles):
-        middles[0] = flights.first[0]
+    middles[0] = flights.first[0]
     return {int(index): (int(middles[index]), int(middles[index + 1])) for index in np.flatnonzero(flights.follows)}
 
 
