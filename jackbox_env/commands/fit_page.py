@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from jackbox_env.model.scene import Scene
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
+_ROWS = 10  # that are listed as left out
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -66,9 +67,16 @@ def sentences(result: Fit, recordings: Sequence[Recording]) -> list[str]:
     else:
         lines.append("Held out: nothing, there are too few windows of free motion.")
     noise = (f"{name} {value:.3g} {UNITS.get(name, 's')}" for name, value in result.noise.items())
-    steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
+    whole = sum((len(one.states) - 1) * one.dt for one in recordings)
+    left_out = sum(
+        np.isnan(motion[1:, X_JACK]).sum() * one.dt for motion, one in zip(result.motions, recordings, strict=True)
+    )
     lines.append(f"Noise (standard deviations): {', '.join(noise)}.")
-    lines.append(f"Left out: {result.left_out} of {steps} steps, where the jack rests or could not be followed.")
+    reasons = f"{left_out - result.unexplained:.2f} s where the jack rests or its bounces pile up"
+    unexplained = f"{result.unexplained:.2f} s that the scene does not explain"
+    lines.append(f"Left out of {whole:.2f} s: {reasons}, and {unexplained}.")
+    lines += [f"Left out, {one}." for one in result.bad_rows[:_ROWS]]
+    lines += [f"Left out, {len(result.bad_rows) - _ROWS} more rows."] * (len(result.bad_rows) > _ROWS)
     if result.converged:
         lines.append("Converged: the search ended, every window fits within the noise, and the residuals are white.")
     else:

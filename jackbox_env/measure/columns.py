@@ -13,7 +13,7 @@ import numpy as np
 
 from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
 from jackbox_env.model.scene import Chirp, Drive, Scene
-from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, Array
+from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, THETA_JACK, Array
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
@@ -52,8 +52,8 @@ def evened(
     for index, name in enumerate(STATE_NAMES):
         values = columns.get(name)
         if values is not None and name.startswith("theta"):
-            values, jumps = unwrapped(values)
-            notes += [f"{name} wraps: {jumps} jumps of a turn were taken out"] * bool(jumps)
+            values, jumps, turn = unwrapped(values, name == STATE_NAMES[THETA_JACK])
+            notes += [f"{name} wraps: {jumps} jumps of {turn} were taken out"] * bool(jumps)
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
@@ -82,15 +82,20 @@ def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | Non
         )
 
 
-def unwrapped(angles: Array) -> tuple[Array, int]:
-    """Angles [rad] without jumps of a turn, and how many there were: only of angles that stay within one turn."""
+def unwrapped(angles: Array, cross: bool = False) -> tuple[Array, int, str]:
+    """Angles [rad] without jumps of a turn, how many there were, and of what turn: only of angles that stay within one.
+
+    A ``cross`` looks the same after a quarter turn, so trackers report its angle within one of these.
+    """
     seen = np.isfinite(angles)
     values = angles[seen]
-    if not len(values) or np.ptp(values) > _TURN * (1.0 + 1e-6):
-        return angles, 0
-    result, jumps = angles.copy(), int((abs(np.diff(values)) > 0.5 * _TURN).sum())
-    result[seen] = np.unwrap(values) if jumps else values
-    return result, jumps
+    for turn, period in ([("a quarter turn", 0.25 * _TURN)] if cross else []) + [("a turn", _TURN)]:
+        jumps = int((abs(np.diff(values)) > 0.5 * period).sum())
+        if len(values) and jumps and np.ptp(values) <= period * (1.0 + 1e-6):
+            result = angles.copy()
+            result[seen] = np.unwrap(values, period=period)
+            return result, jumps, turn
+    return angles, 0, ""
 
 
 def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Indices, Rows, minimise
-from jackbox_env.measure.flights import Guess, flights_of, guess_of, spans_of, spikes_of, starts_of
+from jackbox_env.measure.flights import Guess, flights_of, guess_of, spikes_of, starts_of
 from jackbox_env.measure.recordings import IMPACT, Recording, known_noise, pushed, rough_noise, state_at
 from jackbox_env.measure.residuals import (
     autocorrelations,
@@ -46,7 +46,7 @@ from jackbox_env.measure.shooting import (
     units,
 )
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, THETA_JACK, X_JACK, Array
+from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, THETA_JACK, X_JACK, Y_JACK, Array
 from jackbox_env.tools import checks as check
 
 try:
@@ -126,7 +126,7 @@ class _Search:
 
     def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
         self._progress = progress  # a bar of tqdm
-        self._parameters, self._known_noise = parameters, known_noise
+        self._given, self._parameters, self._known_noise = recordings, parameters, known_noise
         self._units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self._units, 1.0))
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
@@ -202,15 +202,18 @@ class _Search:
         self._windows = [window for index, window in enumerate(self._windows) if index not in indices]
 
     def _resume(self) -> None:
-        """Take back windows that the model explains by now from where the ones before them end."""
+        """Take back windows that the model explains by now, from where the ones before them end or from their flights."""
         before = {(window.recording, window.last): window for window in self._windows}
         for window in sorted(self._left_out, key=lambda one: (one.recording, one.first)):
-            previous = before.get((window.recording, window.first))
-            if previous is None:
-                continue
-            window.start = end_state(self._recordings[window.recording], previous, self._parameters, self._numbers)
-            modelled = motion(self._recordings[window.recording], window, self._parameters, self._numbers)
-            if followed(window, modelled) and self._explained([window]):
+            previous, own = before.get((window.recording, window.first)), window.start
+            if previous is not None:
+                recording = self._recordings[window.recording]
+                window.start = end_state(recording, previous, self._parameters, self._numbers)
+            explained = self._fit_alone(window)
+            if not explained and previous is not None:
+                window.start = own
+                explained = self._fit_alone(window)
+            if explained:
                 self._left_out.remove(window)
                 self._windows.append(window)
                 before[window.recording, window.last] = window
@@ -289,19 +292,24 @@ class _Search:
         recording, numbers, flights = self._recordings[number], self._numbers, self._flights[number]
         assert flights is not None
         starts = starts_of(recording, self._parameters.scene(numbers), flights, guess)
-        for (first, last), start in zip(spans_of(flights).values(), starts, strict=True):
+        for (first, last), start in zip(flights.spans.values(), starts, strict=True):
             window = Window(number, first, last, start=start)
-            if not followed(window, motion(recording, window, self._parameters, numbers)):
-                self._left_out.append(window)
-                continue
-            if not self._explained([window]):
-                mean, width = self._prior([window])
-                width[: len(numbers)], width[len(numbers) :] = self._guessed_width, _PRIOR_FLIGHT_WIDTH
-                near = Shooting(self._recordings, self._parameters, [window], (mean, width))
-                self._solve(near, _LINK_SLACKS[0], most=20)
-            (self._windows if self._explained([window]) else self._left_out).append(window)
-            self._numbers = numbers
+            (self._windows if self._fit_alone(window) else self._left_out).append(window)
         self._link()
+
+    def _fit_alone(self, window: Window) -> bool:
+        """Fit a window near its start and near the fields' present numbers; return whether it is explained."""
+        recording, numbers = self._recordings[window.recording], self._numbers
+        if not followed(window, motion(recording, window, self._parameters, numbers)):
+            return False
+        explained = self._explained([window])
+        if not explained:
+            mean, width = self._prior([window])
+            width[: len(numbers)], width[len(numbers) :] = self._guessed_width, _PRIOR_FLIGHT_WIDTH
+            self._solve(Shooting(self._recordings, self._parameters, [window], (mean, width)), _LINK_SLACKS[0], most=20)
+            explained = self._explained([window])
+        self._numbers = numbers
+        return explained
 
     def _cut_first(self) -> None:
         """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
@@ -441,6 +449,7 @@ class _Search:
             left_out,
             tuple(self._problems(ended, rows, autocorrelations(rows, projections), residuals, left_out, covered)),
             tuple(self._bad_row_sentences()),
+            self._not_followed()[1],
         )
 
     def _problems(
@@ -474,8 +483,10 @@ class _Search:
         for rows_of, one in zip(self._bad_rows, self._recordings, strict=True):
             if len(rows_of) > _MOST_BAD * len(one.states):
                 yield f"{len(rows_of)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-        if skipped > _MOST_SKIPPED * covered:
-            yield f"{skipped} steps could not be followed"
+        if skipped > _MOST_SKIPPED * sum(
+            self._recordings[one.recording].dt * (one.last - one.first) for one in self._windows
+        ):
+            yield f"the jack moves in {skipped:.2g} s that the scene does not explain"
         if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
             yield "windows that were held out do not fit within the noise"
 
@@ -501,21 +512,23 @@ class _Search:
             recording = f" of recording {number}" * (len(self._bad_rows) > 1)
             for row, off in sorted(rows.items()):
                 column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
-                away = f"{abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]}"
-                yield f"row {row}{recording}: {STATE_NAMES[column]} is {away} off"
+                away = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
+                lost = (self._given[number].states[row, [X_JACK, Y_JACK]] == 0.0).all()
+                yield f"row {row}{recording}: {'x_jack and y_jack are 0, as of a lost frame' if lost else away}"
 
-    def _not_followed(self) -> tuple[int, int]:
-        """How many windows should be linked to the next one, and steps that are in none though the jack moves there."""
-        joints, steps = 0, 0
+    def _not_followed(self) -> tuple[int, float]:
+        """How many windows should be linked to the next one, and the time in none though the jack moves there [s]."""
+        joints, seconds = 0, 0.0
         for number, (modelled, flights) in enumerate(zip(self._motions()[0], self._flights, strict=True)):
             missing = np.isnan(modelled[1:, X_JACK])
             if flights is None:
                 joints += sum(window.recording == number for window in self._windows) - 1
-                steps += int(missing.sum()) - self._resting_steps[number]
+                steps = int(missing.sum()) - self._resting_steps[number]
             else:
-                joints += int((flights.follows[1:] & flights.follows[:-1]).sum())
-                steps += sum(int(missing[first:last].sum()) for first, last in spans_of(flights).values())
-        return joints, steps
+                joints += sum(one[1] == other[0] for one, other in pairwise(flights.spans.values()))
+                steps = sum(int(missing[first:last].sum()) for first, last in flights.spans.values())
+            seconds += steps * self._recordings[number].dt
+        return joints, seconds
 
     def _motions(self) -> tuple[tuple[Array, ...], int]:
         """The fitted motion of each recording, and the number of steps in windows."""

@@ -8,6 +8,7 @@ in time. Pieces of two rows are merged while one line fits both within the noise
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one 
 _JACK = slice(X_JACK, RATES)
 LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
+_ELSEWHERE = 0.05  # half widths
 _LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _FEW = 2  # impacts, fewer of which give no ratio
@@ -49,9 +51,12 @@ class Flights(NamedTuple):
 
     first: Indices  # row, shape (n,)
     last: Indices  # row, in the flight
-    follows: NDArray[np.bool_]  # whether the next flight begins after an impact, or a short hop; else the jack rests
+    lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     scatter: Array  # standard deviations of these lines at the middle of a flight and of their slopes, (n, 2)
+    # Steps from the middle of a lasting flight to that of the next one, by the flight's index; only if the next one
+    # follows after an impact or a short hop, else the jack rests in between or its bounces pile up.
+    spans: dict[int, tuple[int, int]]
 
 
 def falls(recording: Recording, scene: Scene) -> Array:
@@ -79,7 +84,9 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     times = rows * recording.dt
     first = _merged(times, straight[rows, _JACK] / noise[_JACK])
     ends = np.append(first[1:], len(rows))
-    enough = (ends - first >= LEAST_ROWS) & (times[ends - 1] - times[first] >= shortest(recording, scene, noise))
+    least = shortest(recording, scene, noise)
+    lasting = times[ends - 1] - times[first] >= least
+    enough = ends - first >= LEAST_ROWS
     first, ends = first[enough], ends[enough]
     lines, scatter = np.full((len(first), RATES, 2), np.nan), np.zeros((len(first), 2))
     for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
@@ -92,11 +99,18 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
             if known.sum() >= LEAST_ROWS:
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
-    if not enough.any():
+    first, last, lasting = rows[first], rows[ends - 1], lasting[enough]
+    long, middles = np.flatnonzero(lasting), (first + last) // 2
+    if not len(long):
         return None
-    first, last = rows[first], rows[ends - 1]
-    hop = max(_CLOSE, shortest(recording, scene, noise) / recording.dt)
-    return Flights(first, last, np.append(first[1:] - last[:-1] <= hop, False), lines, scatter)
+    middles[long[0]] = first[long[0]]
+    hop = max(_CLOSE, least / recording.dt)
+    spans = {
+        before: (int(middles[before]), int(middles[after]))
+        for before, after in pairwise(long.tolist())
+        if first[after] - last[before] <= hop
+    }
+    return Flights(first, last, lasting, lines, scatter, spans)
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
@@ -112,7 +126,9 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
     straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    rows, found = np.flatnonzero(np.isfinite(straight).all(axis=1)), dict[int, Array]()
+    found = _zeros_of(recording, scene)
+    straight[[*found]] = np.nan
+    rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
         off = least.copy()
@@ -131,6 +147,19 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
         found.update(zip(rows[peaks].tolist(), off[peaks] * noise[_JACK], strict=True))
         rows = rows[~peaks]
     return found
+
+
+def _zeros_of(recording: Recording, scene: Scene) -> dict[int, Array]:
+    """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere before and after."""
+    jack = recording.states[:, _JACK]
+    zeros = (jack[:, :2] == 0.0).all(axis=1)
+    others, rows = np.flatnonzero(np.isfinite(jack).all(axis=1) & ~zeros), np.flatnonzero(zeros)
+    if not len(others):
+        return {}
+    after = np.searchsorted(others, rows)
+    near = jack[others[np.stack([np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)])]]
+    far = np.hypot(near[:, :, 0], near[:, :, 1]).min(axis=0) > _ELSEWHERE * scene.box_half_width
+    return {int(row): jack[row] - near[:, index].mean(axis=0) for index, row in enumerate(rows) if far[index]}
 
 
 def _merged(times: Any, values: Array) -> Indices:
@@ -173,7 +202,8 @@ class Impacts(NamedTuple):
 
 def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Impacts:
     """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity."""
-    near = np.flatnonzero(flights.first[1:] - flights.last[:-1] <= _CLOSE)
+    near = flights.first[1:] - flights.last[:-1] <= _CLOSE
+    near = np.flatnonzero(near & (flights.lasting[1:] | flights.lasting[:-1]))
     before, after, dt = flights.lines[near], flights.lines[near + 1], recording.dt
     change = (after - before)[:, _JACK] / noise[_JACK, None]
     times = -(change[:, :, 0] * change[:, :, 1]).sum(axis=1) / np.maximum((change[:, :, 1] ** 2).sum(axis=1), 1e-300)
@@ -273,17 +303,12 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     return guess
 
 
-def spans_of(flights: Flights) -> dict[int, tuple[int, int]]:
-    """Steps from the middle of each flight to that of the next one if that follows, by the flight's index."""
-    middles = (flights.first + flights.last) // 2
-    middles[0] = flights.first[0]
-    return {int(index): (int(middles[index]), int(middles[index + 1])) for index in np.flatnonzero(flights.follows)}
-
-
 def starts_of(recording: Recording, scene: Scene, flights: Flights, guess: Guess) -> Array:
     """States on the flights' lines where the spans begin, (n, 12)."""
-    spans = spans_of(flights)
-    times, lines = np.array([first for first, _ in spans.values()]) * recording.dt, flights.lines[[*spans]]
+    times, lines = (
+        np.array([first for first, _ in flights.spans.values()]) * recording.dt,
+        flights.lines[[*flights.spans]],
+    )
     straight = lines[:, X_JACK : Y_JACK + 1]
     place = straight[:, :, 0] + straight[:, :, 1] * times[:, None]
     states = state_on(recording, scene, lines, times)

@@ -33,6 +33,7 @@ class Fit:
             ended, the motion does not jump, every window fits within the noise, the residuals are white, and no other
             value of a field that is not fitted would fit better.
         bad_rows: rows in which nothing of the jack was used, each in a sentence: "row 133: x_jack is 0.05 m off".
+        unexplained: time of these steps in which the jack flies, but the scene does not explain how [s].
     """
 
     scene: Scene
@@ -44,6 +45,7 @@ class Fit:
     left_out: int = 0
     problems: tuple[str, ...] = ()
     bad_rows: tuple[str, ...] = ()
+    unexplained: float = 0.0
 
     @property
     def converged(self) -> bool:
