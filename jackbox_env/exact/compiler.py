@@ -195,17 +195,16 @@ def _signed(default: Any) -> Any:
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
     from numba import config, njit
-    from numba.core.compiler import Compiler
 
     from jackbox_env.exact.code_cache import CodeCache
-    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler
+    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler, PackageCompiler
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step. And without entry points from Python for functions that only compiled code calls: they take
     # a third of the time to compile.
-    pipeline = InnerCompiler if inner else Compiler if on_disk else FreedCompiler
+    pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
         no_cpython_wrapper=inner, no_cfunc_wrapper=inner, forceinline=inline, pipeline_class=pipeline,
