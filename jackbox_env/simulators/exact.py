@@ -40,6 +40,7 @@ from typing_extensions import override
 
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.flight import TABLE_WIDTH
+from jackbox_env.exact.late import AGAIN, repaired
 from jackbox_env.exact.run import run
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
@@ -142,10 +143,10 @@ class ExactSimulator(Simulator):
             ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
             if not ended:
                 break
-            if ended != Status.FULL:
+            if ended not in AGAIN:
                 end_of_step(present.time, dt)
                 raise failure(ended, self.scene, present.time, dt)
-            call = self._calls[into] = call.with_room()  # and repeat the step
+            call = self._calls[into] = repaired(call, ended)  # and repeat the step
         impacts = recorded(call.memory.log[:hits], present.time) if hits else ()
         return _new(StepResult, (self._states[into], present.time + dt, self._torques[into][0], impacts))
 
