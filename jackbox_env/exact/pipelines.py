@@ -10,6 +10,7 @@ import contextlib
 import gc
 import itertools
 from collections.abc import Iterator
+from operator import getitem, setitem
 from typing import Any, ClassVar, cast
 
 from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
@@ -59,10 +60,10 @@ class _Typing(Context):
         if isinstance(function, types.Dispatcher):
             arguments = tuple(map(_unliteral, arguments))
             keywords = {name: _unliteral(kind) for name, kind in keywords.items()}
-        elif isinstance(function, types.BaseFunction):
-            key = function, arguments, tuple(keywords.items())
+        elif isinstance(function, types.BaseFunction) or function in (getitem, setitem):
+            key = function, tuple(arguments), tuple(dict(keywords).items())
             if key not in self._resolved:
-                self._resolved[key] = cast(Any, super()).resolve_function_type(*key[:2], keywords)
+                self._resolved[key] = cast(Any, super()).resolve_function_type(function, arguments, keywords)
             return self._resolved[key]
         return cast(Any, super()).resolve_function_type(function, arguments, keywords)
 
