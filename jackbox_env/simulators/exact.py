@@ -40,7 +40,7 @@ from typing_extensions import override
 
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.flight import TABLE_WIDTH
-from jackbox_env.exact.late import AGAIN, repaired
+from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
 from jackbox_env.exact.score import one_row, step_and_judge
 from jackbox_env.exact.search import MOST_WORK
@@ -57,6 +57,7 @@ from jackbox_env.exact.workspace import (
     Scenes,
     Status,
     new_memory,
+    new_workspaces,
 )
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
@@ -110,10 +111,15 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
 
 
 @cache
-def ensure_compiled() -> None:
-    """Compile a step, or load it: at an episode's start, and not in its first step behind a progress bar."""
+def ensure_compiled(lossy: bool = False) -> None:
+    """Compile a step, or load it: at an episode's start, and not in its first step behind a progress bar.
+
+    Feet at rest are included if a scene is ``lossy``.
+    """
     simulator = ExactSimulator(Scene())
     simulator.step(0.02, 0.0)
+    if lossy:
+        with_all(new_workspaces())
 
 
 class ExactSimulator(Simulator):
@@ -164,7 +170,7 @@ class ExactSimulator(Simulator):
 
     @override
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        ensure_compiled()
+        ensure_compiled(not self.scene.elastic)
         super().reset(state, time)
 
     @override
