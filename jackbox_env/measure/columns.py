@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
+from jackbox_env.measure.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, Array
 
@@ -57,8 +58,8 @@ def evened(
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
-    if torques is not None and torque == "sampled":
-        torques = np.interp(np.arange(len(states)), rows, filled(table, "torque", torques))
+    if torques is not None and torque != "held":
+        torques = without_gaps(filled(table, "torque", torques), rows)
     elif torques is not None:
         torques = filled(table, "torque", torques[:-1])
         torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
