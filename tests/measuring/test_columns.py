@@ -128,7 +128,7 @@ def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
         ({"columns": {"time": ["a", "b"]}}, "column 'time' must be numbers, got \\['a', 'b'\\]"),
         ({"columns": {"time": [0.0, "b"]}}, "column 'time' must be numbers, got \\[0.0, 'b'\\]"),
         ({"columns": {"time": [[0.0]]}}, "column 'time' must be numbers"),
-        ({"columns": {"time": np.array(["2026-01-01"], "M8[s]")}}, "column 'time' must be numbers"),
+        ({"columns": {"time": [0.0], "x_jack": np.array(["2026-01-01"], "M8[s]")}}, "column 'x_jack' must be numbers"),
         ({"columns": {"time": [0.0, math.inf]}}, "must be finite numbers or NaN, got inf in row 1"),
         ({"columns": {"x_jack": [0.0, 1.0]}}, r"there must be a column time \[s\]"),
         ({"columns": {"time": [0.0, 0.1], "ball": [0.0, 1.0]}}, r"column 'ball' must be one of time \[s\], x_box"),
