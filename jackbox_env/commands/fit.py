@@ -23,7 +23,6 @@ from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
     from jackbox_env.measure.recordings import Recording
-    from jackbox_env.measure.result import Fit
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
@@ -165,11 +164,6 @@ def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
     return stored[0] if stored else {}
 
 
-def _goodness(result: Fit) -> tuple[bool, int, float]:
-    """Greater for the better of two fits: whether it converged, how much it explains, and how closely."""
-    return result.converged, -result.left_out, -math.prod(result.noise.values())
-
-
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
@@ -233,7 +227,8 @@ def main() -> None:
         for kind in TORQUE_KINDS[1:]:
             with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow
                 results[kind] = fit(read(kind), arguments.fields, start, noise=noise)
-        best = max(results, key=lambda kind: _goodness(results[kind]))
+        better = [(one.converged, -one.left_out, -math.prod(one.noise.values())) for one in results.values()]
+        best = [*results][better.index(max(better))]
         if best != "held":
             print(f"The torques fit better with --torque-column {best}.", file=sys.stderr)
     if arguments.html:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,11 @@ EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
 _USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
-# Frames a second of television, and of cameras and loggers.
-_TELEVISION = tuple(rate / 1.001 for rate in (24, 30, 48, 60, 120, 240, 480))
-_RATES = 24, 25, 30, 48, 50, 60, 72, 75, 80, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 400, 480, 500, 1000
+# Frames a second of cameras and loggers, and of television.
+_RATES = (
+    *(24, 25, 30, 48, 50, 60, 72, 75, 80, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 400, 480, 500, 1000),
+    *(rate / 1.001 for rate in (24, 30, 48, 60, 120, 240, 480)),
+)
 _COARSE = 0.4  # of a step: rounding below leaves no doubt about missing frames
 _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
@@ -157,10 +160,8 @@ def _gaps(steps: Array, rounding: float) -> Array:
     if len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING or rounding < _COARSE * usual:
         return np.asarray(most)
     times = np.cumsum([0.0, *steps])
-    hypotheses = [np.ones(len(steps))]  # frames for each step
-    for rate in sorted([*_RATES, *_TELEVISION]):
-        hypotheses += [np.diff(np.round((times + 0.1 * n * rounding) * rate)) for n in range(-5, 6)]
-    for gaps in hypotheses:
+    at_rates = ((times + 0.1 * n * rounding) * rate for rate in sorted(_RATES) for n in range(-5, 6))
+    for gaps in chain([np.ones(len(steps))], (np.diff(np.round(frames)) for frames in at_rates)):
         rows = np.cumsum([0.0, *gaps])
         dt = np.polyfit(rows, times, 1)[0]
         if gaps.min() > 0.0 and np.ptp(times - dt * rows) < 2.0 * EVEN * dt + rounding:

@@ -123,9 +123,8 @@ def _played(
     recording: Recording, windows: Sequence[Window], parameters: Parameters, numbers: Array
 ) -> list[Motion] | None:
     """The motions of windows of a recording; None if the model cannot follow one."""
-    torques, parts = recording.torques, 1  # of a step
-    if torques is not None:
-        parts = torques.size // len(torques)
+    torques = recording.torques
+    parts = 1 if torques is None else torques.size // len(torques)  # of a step
     counts, dt = [parts * (window.last - window.first) for window in windows], recording.dt / parts
     longest = max(counts)
     if torques is not None:

@@ -46,9 +46,11 @@ OTHER_UNITS = {  # in SI units, by the SI unit
     "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3, "kNm": 1e3},
     "N s": {},
 }
-_WORDS = {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms"}
-_WORDS |= {"meter": "m", "meters": "m", "metre": "m", "metres": "m", "millimeter": "mm", "millimeters": "mm"}
-_WORDS |= {"micron": "um", "microns": "um", "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg"}
+_WORDS = {
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "millimeter": "mm", "millimeters": "mm", "micron": "um",
+    "microns": "um", "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg",
+}  # fmt: skip
 
 
 def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, int, tuple[str, ...]]:
@@ -125,14 +127,14 @@ def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
 
 
 def _header(rows: Sequence[Sequence[str]]) -> int | None:
-    """The last row of text before the first long stretch of rows of numbers; None if there is none."""
+    """The last row of text before the first five rows of numbers, or before most of fewer; None if there is none."""
     width = _width(rows)
     kinds = [any(map(NUMBER.fullmatch, row)) or all(map(VALUE.fullmatch, row)) for row in rows]  # of numbers
     names = [n for n, row in enumerate(rows) if not kinds[n] and _width([row]) >= width]
     if not names or any(_width([row]) >= width and all(map(VALUE.fullmatch, row)) for row in rows[: names[0]]):
         return None
     lengths = [end - start for start, end in pairwise([*names, len(rows)])]
-    first = next(n for n, length in zip(names, lengths, strict=True) if 2 * length > max(lengths))
+    first = next(n for n, length in zip(names, lengths, strict=True) if length > min(4, max(lengths) // 2))
     return first + next((n for n, of_numbers in enumerate(kinds[first:]) if of_numbers), 1) - 1
 
 
@@ -150,10 +152,9 @@ def _joined(levels: Sequence[Sequence[str]]) -> tuple[list[str], int]:
 
     Units below names are added, and groups above names that come twice.
     """
-    names, above = ([*levels] or [[]])[-1], [*levels[:-1]]
+    names, above, used = ([*levels] or [[]])[-1], [*levels[:-1]], 1
     named = [name.strip() for name in names if name.strip()]
     known = [plain(name.strip("[]()")) in KNOWN for name in named]
-    used = 1
     if above and (known[0] or named[0][0] in "[(") and 2 * sum(known) > len(known):
         units = [unit.strip().strip("[]()") for unit in (*names, *[""] * len(above[-1]))]
         used, names = 2, [f"{name} [{unit}]" if unit else name for name, unit in zip(above.pop(), units, strict=False)]
