@@ -95,7 +95,9 @@ CASES = [
         columns="time=Time,x_jack=jack:m1 X",
         notes=(before("row 1, row 2"), left_out("Frame, jack:m1 Y [mm], jack:m2 X [mm], jack:m2 Y [mm]")),
     ),
-    Case("trackmate.csv", columns="time=T,x_jack=X", notes=(before("row 1, row 2"), left_out("Label"))),
+    Case(
+        "trackmate.csv", columns="time=T,x_jack=X", notes=(before("row 1, row 2"), left_out("Label, Quality [quality]"))
+    ),
     Case("r_write_table.txt"),
     Case("markdown.md"),
     Case("second_run_longer.csv", refused="row 7, column time: must be a number or empty, got 'time'"),
@@ -191,7 +193,13 @@ CASES = [
     Case("rounded_100fps_10ms_dropped.csv", dt=1 / 100, notes=(MISSING,), **ROUNDED),
     Case("rounded_90fps_10ms.csv", dt=1 / 90, **ROUNDED),
     Case("rounded_90fps_10ms_dropped.csv", dt=1 / 90, notes=(MISSING,), **ROUNDED),
-    Case("rounded_59.94fps_10ms_dropped.csv", dt=1.001 / 60, notes=(MISSING,), **ROUNDED),
+    Case(
+        "rounded_59.94fps_10ms_dropped.csv",
+        dt=1.001 / 60,
+        frames=600,
+        states={},
+        notes=("40 of 600 frames are missing, and left open",),
+    ),
 ]
 
 

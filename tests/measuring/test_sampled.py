@@ -17,6 +17,7 @@ pytest.importorskip("scipy")
 from jackbox_env.commands import fit as command
 from jackbox_env.commands import simulate as simulate_command
 from jackbox_env.commands.fit_page import impact_times
+from jackbox_env.measure.shooting import Motion, Parameters, Window, motion
 
 RATE, PARTS = 30, 16  # frames a second; constant torques for each
 TRUE, START = Scene(jack_mass=4.6, restitution=0.9, drive=None), Scene(drive=None)
@@ -95,6 +96,22 @@ def test_a_torque_that_changes_gives_the_mass_and_a_note_names_its_kind(
         low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.einf+-]+) to ([\d.einf+-]+)", out)[0])
         assert (low < 4.6 < high < low + 0.2) == converged
         assert (f"The torques fit better with --torque-column {kind}.\n" in err) != converged
+
+
+def test_a_window_has_states_and_derivatives_at_its_rows() -> None:
+    recording = Recording(*measured("sampled"), 1.0 / RATE, torque="sampled")
+    parameters, start = Parameters(["jack_mass"], TRUE), 0.3 * np.eye(12)[5]
+    numbers = parameters.of(TRUE)
+
+    def moved(by: float) -> Motion:
+        found = motion(recording, Window(0, 2, 40, start=start + by * np.eye(12)[5]), parameters, numbers)
+        assert found is not None
+        return found
+
+    modelled = moved(0.0)
+    assert (modelled.smooth, modelled.states.shape, modelled.jacobians.shape) == (38, (39, 12), (39, 12, 13))
+    differences = (moved(1e-6).states - moved(-1e-6).states) / 2e-6
+    np.testing.assert_allclose(modelled.jacobians[:, :, 5], differences, atol=1e-5)
 
 
 def test_impacts_are_those_of_the_torques_in_a_step() -> None:
