@@ -89,9 +89,8 @@ def read_table(path: Path, array: str) -> Table:
     widths, numbers = {len(row) for row in rows}, [row[0].strip() for row in rows]
     if widths == {len(headers) + 1} and delimiter != "," and numbers == [str(n + 1) for n in range(len(rows))]:
         headers = ["", *headers]  # R numbers the rows
-    width = (
-        min(len(headers), max(widths)) if widths and delimiter == "\t" else len(headers)
-    )  # LabVIEW leaves out comments
+    # LabVIEW's rows lack the last cell, of a comment.
+    width = min(len(headers), max(widths)) if widths and delimiter == "\t" else len(headers)
     if without := ", ".join(header for header in headers[width:] if header.strip()):
         notes = (*notes, f"left out, because no row has a cell for them: {without}")
     for line, row in zip(lines, rows, strict=True):

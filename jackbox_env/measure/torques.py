@@ -7,7 +7,7 @@ import numpy as np
 from jackbox_env.model.states import Array
 
 TORQUE_KINDS = ("held", "sampled", "linear")
-_PARTS = 4  # of a step; docs/fitting.md has the fits with fewer
+_PARTS = 4  # of a step: with 2, a fifth of the fits fail at 12 samples for each turn of a motor
 
 
 def torques_between(samples: Array, kind: str) -> Array:
