@@ -31,17 +31,22 @@ def call_all() -> None:
     from jackbox_env import Drive, Scene, make_simulator, rollout
     from jackbox_env.envs.single import JackInBoxEnv
     from jackbox_env.envs.vector import JackInBoxVectorEnv
+    from jackbox_env.exact import late
+    from jackbox_env.exact.workspace import new_workspaces
     from jackbox_env.model.tasks import TASKS
     from jackbox_env.planning import linearization
 
     make_simulator(Scene(drive=Drive(torque=lambda time: 1e4)), "exact").step(0.02)
     for task in TASKS:
-        JackInBoxEnv(contact="exact", task=task).reset()
+        env = JackInBoxEnv(contact="exact", task=task)
+        env.reset()
+        env.step(0.0)
         envs = JackInBoxVectorEnv(2, contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})
         envs.reset()
         envs.step(np.zeros((2, 1)))
         rollout(None, np.zeros(12), np.zeros(2), 0.02, rewards=task)
     linearization.ensure_compiled()
+    late.with_all(new_workspaces())
 
 
 def compile_into(cache: Path, package: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
-from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
+from jackbox_env.commands.options import add_scene_options, add_torque_column, chosen_scene, parser_of
+from jackbox_env.measure.torques import TORQUE_KINDS
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
@@ -63,11 +65,7 @@ def _arguments() -> argparse.Namespace:
         "or none"
     )
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
-    text = (
-        "whether each torque in the files was held to the next row, or is a sample of one that changes; default: held, "
-        "and a note if samples fit better"
-    )
-    parser.add_argument("--torque-column", choices=("held", "sampled"), help=text)
+    add_torque_column(parser, ", and a note if another fits better")
     text = (
         "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
         "in the folder of the files, with the options of single fields"
@@ -208,6 +206,8 @@ def main() -> None:
             print(f"{path}: {note}.", file=sys.stderr)
         if arguments.torque == "none" and recording.torques is not None:
             raise ValueError(f"{path}: --torque none is for files without a column torque")
+    if arguments.torque_column not in (None, "held") and all(one.torques is None for one in recordings):
+        raise ValueError("--torque-column goes with a column torque, which no file has")
     if stored:
         file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
         print(f"The search starts at the scene of {file}.", file=sys.stderr)
@@ -223,10 +223,14 @@ def main() -> None:
     print(f"... took {time.perf_counter() - began:.1f} s", file=sys.stderr)
     print(_printed(table_of(result, start)), *sentences(result, recordings), sep="\n")
     if not (result.converged or arguments.torque_column) and any(one.torques is not None for one in recordings):
-        with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow
-            other = fit(read("sampled"), arguments.fields, start, noise=noise)
-            if (other.converged, -other.left_out) > (result.converged, -result.left_out):
-                print("The torques fit better as samples: --torque-column sampled.", file=sys.stderr)
+        results = {"held": result}
+        for kind in TORQUE_KINDS[1:]:
+            with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow
+                results[kind] = fit(read(kind), arguments.fields, start, noise=noise)
+        better = [(one.converged, -one.left_out, -math.prod(one.noise.values())) for one in results.values()]
+        best = [*results][better.index(max(better))]
+        if best != "held":
+            print(f"The torques fit better with --torque-column {best}.", file=sys.stderr)
     if arguments.html:
         titles = [str(path) for path in paths]
         new_folder(folder, "fit", lambda new: write_fit_page(new / "fit.html", result, start, recordings, titles))

@@ -130,10 +130,12 @@ def impact_times(scene: Scene, recording: Recording, motion: Array) -> list[floa
     from jackbox_env.simulators import make_simulator
 
     simulator, times = make_simulator(scene, contact="exact"), list[float]()
-    torques = np.full(len(motion) - 1, None) if recording.torques is None else np.asarray(recording.torques).tolist()
+    torques = np.full(len(motion) - 1, None) if recording.torques is None else np.asarray(recording.torques)
+    torques = torques.reshape(len(motion) - 1, -1)  # equal parts of each step
     for step in np.flatnonzero(np.isfinite(motion[:-1] + motion[1:]).all(axis=1)):
         simulator.reset(motion[step], recording.time + step * recording.dt)
-        times += [hit.time for hit in simulator.step(recording.dt, torques[step]).impacts]
+        for torque in torques[step]:
+            times += [hit.time for hit in simulator.step(recording.dt / torques.shape[1], torque).impacts]
     return times
 
 

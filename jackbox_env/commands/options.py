@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, get_args, get_type_hints
 
+from jackbox_env.measure.torques import TORQUE_KINDS
 from jackbox_env.simulators.fidelity import Setting
 from jackbox_env.tools import checks as check
 
@@ -39,6 +40,15 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
     text = "duration of a control step [s]; default: 0.02"
     model.add_argument("--dt", "--control-dt", type=float, default=0.02, metavar="S", help=text)
     add_scene_options(model)
+
+
+def add_torque_column(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add --torque-column; ``default`` follows "default: held"."""
+    text = (
+        "whether each torque in a file was held to the next row, sampled from a smooth curve, or changes linearly to "
+        f"the next row; default: held{default}"
+    )
+    parser.add_argument("--torque-column", choices=TORQUE_KINDS, help=text)
 
 
 def add_scene_options(parser: argparse._ActionsContainer) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jackbox_env.commands.options import add_model_options, chosen_scene, parser_of
+from jackbox_env.commands.options import add_model_options, add_torque_column, chosen_scene, parser_of
 from jackbox_env.model.states import STATE_NAMES, Array
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
@@ -36,6 +36,7 @@ def _arguments() -> argparse.Namespace:
         "them; default: chirp"
     )
     parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
+    add_torque_column(parser, "; else the states are those of each quarter of a control step")
     add_model_options(parser)
     start = parser.add_argument_group("start")
     text = (
@@ -86,14 +87,15 @@ def _state(text: str) -> list[Any]:
 # -- torques -----------------------------------------------------------------------------------------------------------
 
 
-def _torques(path: Path, dt: float) -> Array:
-    """Torques of a CSV or npz file [N m], one for each control step.
+def _torques(path: Path, dt: float, kind: str = "held") -> Array:
+    """Torques of a CSV or npz file [N m], one for each control step, or each quarter of one.
 
     Raises:
         ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
     """
     from jackbox_env.measure.columns import rounding_of
     from jackbox_env.measure.tables import filled, in_si_units, read_table
+    from jackbox_env.measure.torques import torques_between
 
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
@@ -102,15 +104,16 @@ def _torques(path: Path, dt: float) -> Array:
     if others := [header for header in left_out if header.split("[")[0].strip() not in STATE_NAMES]:
         print(f"{path}: left out: {', '.join(others)}.", file=sys.stderr)
     torques = columns["torque"]
-    torques = filled(table, "torque", torques[:-1] if np.isnan(torques[-1:]).any() else torques)
-    if not len(torques):
+    held = kind == "held"
+    torques = filled(table, "torque", torques[:-1] if held and np.isnan(torques[-1:]).any() else torques)
+    if len(torques) < (1 if held else 2):
         raise ValueError(f"{path}: there must be a torque of one control step at least")
     times = filled(table, "time", columns.get("time", torques[:0])[: len(torques)])
     late = times - times[:1] - dt * np.arange(len(times))
     if len(late) > 1 and np.ptp(late) > _STEP_TOLERANCE * dt * len(late) + 0.98 * rounding_of(times):
         step = np.diff(times)[abs(np.diff(late)).argmax()]
         raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {step:g} s; choose another --dt")
-    return torques
+    return torques if held else torques_between(torques, kind)
 
 
 def _completed(arguments: argparse.Namespace) -> Array | None:
@@ -123,15 +126,19 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
 
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):
-        torques = _torques(Path(arguments.torque), dt)
+        torques = _torques(Path(arguments.torque), dt, arguments.torque_column or "held")
+    elif arguments.torque_column:
+        raise ValueError(f"--torque-column goes with a FILE of --torque, got --torque {arguments.torque}")
     if arguments.seconds is None:
         arguments.seconds = 10.0 if torques is None else len(torques) * dt
+    if torques is not None:
+        arguments.dt /= torques.size // len(torques)  # constant torques of parts of a step
     _refuse_impossible(arguments)
     whole, rest = steps_of(arguments.seconds, dt)
     if torques is not None and len(torques) < whole + (rest > 0.0):
         lasts = f"as long as {arguments.torque} lasts"
         raise ValueError(f"seconds must be at most {len(torques) * dt:g}, {lasts}, got {arguments.seconds:g}")
-    return torques
+    return None if torques is None else torques.ravel()
 
 
 def _refuse_impossible(arguments: argparse.Namespace) -> None:

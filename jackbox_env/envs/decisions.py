@@ -15,7 +15,6 @@ from jackbox_env.model.landing import is_over
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import checked_reward
 from jackbox_env.simulators import Impact, Simulator
-from jackbox_env.simulators.base import total_impulse
 
 _new: Callable[..., ControlStep] = tuple.__new__
 
@@ -76,9 +75,7 @@ def _control_step(
     if controls is not None:
         share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
         torque = share * simulator.scene.torque_limit
-    stored, time, mean, impacts = simulator.step_checked(dt, torque)
-    state, impulse = np.array(stored), total_impulse(impacts) if impacts else 0.0
-    observation, terms, over = functions.judge(state, time, mean, impulse, seen)
+    state, time, mean, impacts, impulse, observation, terms, over = functions.step(simulator, dt, torque, seen)
     reward = checked_reward(functions.nouns.task, terms)
     # Twice as fast as ControlStep(...).
     return _new(ControlStep, (state, time, mean, impacts, impulse, terms, reward, over, observation))

@@ -29,12 +29,14 @@ from jackbox_env.model.observation import (
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, State
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
-from jackbox_env.simulators import StepResult, contact_model
+from jackbox_env.simulators import Impact, Simulator, StepResult, contact_model
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
 Seen = NDArray[np.float32]
 Judged = tuple[Seen, Sequence[float], bool]
+# State, time [s], mean torque [N m], impacts, their impulse [N s], and what is judged.
+Stepped = tuple[Array, float, float, Sequence[Impact], float, Seen, Sequence[float], bool]
 # Compiled functions of each user's task, observation or action, as long as that lives.
 _compiled: WeakKeyDictionary[Any, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
@@ -64,6 +66,12 @@ class PlainFunctions:
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
         self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
+
+    def step(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> Stepped:
+        """Step a simulator of the scene, and :meth:`judge` the state; the arguments of the step are checked."""
+        stored, time, mean, impacts = simulator.step_checked(dt, torque)
+        state, impulse = np.array(stored), total_impulse(impacts) if impacts else 0.0
+        return (state, time, mean, impacts, impulse, *self.judge(state, time, mean, impulse, seen))
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """After a step: the observation, the values of the reward's terms, and whether the episode is over.
@@ -116,6 +124,15 @@ class CompiledFunctions:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
+
+    def step(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> Stepped:
+        """As :meth:`PlainFunctions.step`, in one call of compiled code."""
+        observation = np.empty(self._names, np.float32) if seen else _NOTHING
+        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._address, observation)
+        state, impulse, verdict = np.array(stored), total_impulse(impacts) if impacts else 0.0, simulator.verdict
+        if verdict < 0:
+            raise self._bad_observation(state, time)
+        return state, time, mean, impacts, impulse, observation, self._terms.tolist(), verdict > 0
 
     def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
         """As :meth:`PlainFunctions.judge`."""

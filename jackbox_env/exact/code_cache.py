@@ -37,7 +37,8 @@ SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Exc
 _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
 # Functions that take long to compile: their purpose, and the time.
 _LONG = {
-    "run": ("all environments", "20 seconds"),
+    "run": ("all environments", "10 seconds"),
+    "settle_and_advance": ("feet at rest", "5 seconds"),
     **dict.fromkeys(("mark_smooth", "matrices", "pull_back"), ("derivatives", "5 seconds")),
 }
 

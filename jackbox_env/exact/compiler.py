@@ -195,17 +195,16 @@ def _signed(default: Any) -> Any:
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
     from numba import config, njit
-    from numba.core.compiler import Compiler
 
     from jackbox_env.exact.code_cache import CodeCache
-    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler
+    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler, PackageCompiler
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
     # two thirds of a step. And without entry points from Python for functions that only compiled code calls: they take
     # a third of the time to compile.
-    pipeline = InnerCompiler if inner else Compiler if on_disk else FreedCompiler
+    pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
     dispatcher = cast(Any, njit)(
         nogil=True, error_model="python" if checked else "numpy", _nrt=False,
         no_cpython_wrapper=inner, no_cfunc_wrapper=inner, forceinline=inline, pipeline_class=pipeline,
@@ -281,9 +280,6 @@ def called_at(signature: str) -> Callable[[Any], Callable[..., int]]:
     return function_at
 
 
-_SIGNATURES: dict[Callable[..., Any], str] = {}
-
-
 def fixed_tuple(array: Any, length: int) -> tuple[Any, ...]:
     """The first ``length`` numbers of an array as a tuple; ``length`` is a constant of the compiled function."""
     return tuple(array[:length].tolist())
@@ -298,6 +294,44 @@ def packed(memory: Any, value: T) -> T:
     Passing an address to compiled code takes less time than passing 30 arrays. The arrays must live as long.
     """
     return value
+
+
+def called_later(function: Callable[[], F], example: Callable[[], tuple[Any, ...]]) -> Callable[[Any], F]:
+    """Like :func:`called_at`, for a function of this package that may be compiled later than those that call it.
+
+    Uncompiled, the function is called, whatever the address.
+
+    Args:
+        function: returns the plain function.
+        example: returns a value that it returns, and arguments of it.
+    """
+
+    def function_at(_address: Any) -> F:
+        return function()
+
+    _SIGNATURES[function_at] = example
+    return function_at
+
+
+_SIGNATURES: dict[Callable[..., Any], str | Callable[[], tuple[Any, ...]]] = {}
+
+
+def _signature_of(function_at: Callable[..., Any]) -> Any:
+    """Numba's signature of a function at an address."""
+    from numba import typeof
+    from numba.core import sigutils
+
+    known = _SIGNATURES[function_at]
+    if isinstance(known, str):
+        arguments, result = sigutils.normalize_signature(known)  # type: ignore[no-untyped-call]
+        return result(*arguments)
+    result, *arguments = map(cast(Any, typeof), known())
+    return result(*arguments)
+
+
+def is_compiled(_address: Any) -> bool:
+    """Whether there is a function at an address of :func:`called_later`; uncompiled, there is."""
+    return True
 
 
 def unpacked_as(example: Callable[[], T]) -> Callable[[Any], T]:
@@ -315,6 +349,8 @@ _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 def _intrinsic(function: Any) -> Any:
     """The compiled counterpart of a function that only compiled code can have, or None."""
+    if function is is_compiled:
+        return bool
     known = function in (fixed_tuple, packed) or function in _EXAMPLES or function in _SIGNATURES
     return _make_intrinsic(function) if known else None
 
@@ -323,7 +359,7 @@ def _intrinsic(function: Any) -> Any:
 def _make_intrinsic(function: Any) -> Any:
     """Itself under NUMBA_DISABLE_JIT."""
     from numba import config, typeof, types
-    from numba.core import cgutils, sigutils
+    from numba.core import cgutils
     from numba.core.errors import TypingError
     from numba.core.typing.templates import Signature
     from numba.extending import intrinsic
@@ -350,17 +386,16 @@ def _make_intrinsic(function: Any) -> Any:
 
     if function is packed:
         return store
-    signature = _SIGNATURES.get(function)
-    if signature:
-        arguments, result = sigutils.normalize_signature(signature)  # type: ignore[no-untyped-call]
-        kind: Any = types.FunctionType(result(*arguments))
+    called_there = function in _SIGNATURES
+    if called_there:
+        kind: Any = types.FunctionType(_signature_of(function))
     else:
         kind = typeof(_EXAMPLES[function]())  # type: ignore[no-untyped-call]
 
     @intrinsic
     def load(typing: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            if not signature:
+            if not called_there:
                 return builder.load(builder.inttoptr(values[0], context.get_value_type(kind).as_pointer()))
             called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
             # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
@@ -381,7 +416,7 @@ def address_of(dispatcher: Any, function_at: Callable[[Any], Any]) -> int:
     if dispatcher is None or isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher or 0)
     if not hasattr(dispatcher, "address"):
-        dispatcher.compile(_SIGNATURES[function_at])
+        dispatcher.compile(_signature_of(function_at))
         (made,) = dispatcher.overloads.values()
         dispatcher.address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
     return cast(int, dispatcher.address)

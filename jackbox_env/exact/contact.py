@@ -17,11 +17,11 @@ With loss the resolution grows with the impacts of a step, up to :func:`deepest`
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from jackbox_env.exact.compiler import inlined
+from jackbox_env.exact.compiler import called_later, inlined, is_compiled
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
-from jackbox_env.exact.workspace import AFTER, BEFORE, HELD_SO_FAR, JUMPS, Workspace
+from jackbox_env.exact.workspace import AFTER, BEFORE, HELD_SO_FAR, JUMPS, Status, Workspace, new_workspaces
 from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
@@ -45,10 +45,11 @@ def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wal
     return count
 
 
-def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: float, wall: int, foot: int) -> None:
+def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: float, wall: int, foot: int) -> Status:
     """Apply the law to every contact within ``resolution`` [m], and to that of ``wall`` and ``foot`` in any case.
 
-    It changes the velocities in ``memory.state`` and records the impacts.
+    It changes the velocities in ``memory.state``, records the impacts, and returns DONE. UNCOMPILED: several contacts,
+    and their law is not compiled yet.
     """
     contacts = memory.contacts
     state = memory.state
@@ -61,8 +62,8 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
         memory.nonsmooth = 1
     if count == 1:
         contacts.impulses[0] = bounce(scene, state, contacts.gradients[0])
-    else:
-        bounce_together(scene, memory, count)
+    elif not bounce_several(scene, memory, count):
+        return Status.UNCOMPILED
     for number in range(count):
         if contacts.impulses[number] > 0.0:
             record_impact(memory, log, memory.elapsed, contacts.pairs[number], contacts.impulses[number])
@@ -71,6 +72,7 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
             copy_state(memory.before, log[row, BEFORE:])
             copy_state(state, log[row, AFTER:])
             log[row, HELD_SO_FAR] = memory.held.holding
+    return Status.DONE
 
 
 def copy_state(state: Array, into: Array) -> None:
@@ -125,6 +127,14 @@ def kick(scene: SceneNumbers, rates: Array, row: Array, impulse: float) -> None:
     rates[THETA_JACK] += row[THETA_JACK] * impulse / scene.jack_inertia
 
 
+def bounce_several(scene: SceneNumbers, memory: Workspace, count: int) -> bool:
+    """Call :func:`bounce_together` by its address; return whether it is compiled."""
+    compiled = is_compiled(memory.together)
+    if compiled:
+        together_at(memory.together)(scene, memory, count)
+    return compiled
+
+
 def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
     """Several contacts: v+ = (1 + e) P(v-) - e v-, which at e = 1 reflects v- at its projection on the cone."""
     contacts = memory.contacts
@@ -139,6 +149,12 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
             kick(scene, memory.state[RATES:], contacts.gradients[number], impulse)
 
 
+def example() -> tuple[Any, ...]:
+    """What :func:`bounce_together` returns, and arguments of it."""
+    return None, SceneNumbers(*[0.0] * len(SceneNumbers._fields)), new_workspaces()[0], 0
+
+
+together_at = called_later(lambda: bounce_together, example)
 _OFTEN, _OFTEN_WITH_LOSS = 32, 256  # impacts of a step, see widened()
 
 

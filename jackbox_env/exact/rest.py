@@ -1,7 +1,8 @@
 """Feet at rest on walls: which ones rest, and how box and jack move while walls hold them.
 
-``step.advance`` calls :func:`settle` when ``search.py`` detects a slow foot on a wall, and :func:`advance_held` to
-integrate the motion with the feet that rest.
+``step.advance`` calls :func:`advance_resting` when ``search.py`` detects a slow foot on a wall: :func:`settle` selects
+the feet that rest, and :func:`advance_held` integrates the motion with them. Both are compiled when a step first needs
+them (``late.py``).
 A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: it may slide, since walls
 have no friction, but its gap is a constraint of the Lagrangian motion
 
@@ -25,10 +26,25 @@ Cost: about 2 microseconds a stretch, mostly a whole control step; counted as 40
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
+
+from jackbox_env.exact.compiler import called_later, is_compiled
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
 from jackbox_env.exact.contact import ContactTolerances, kick, record_impact, resolve
-from jackbox_env.exact.flight import DEGREE, PUSH_X, PUSH_Y, RECIPROCALS, TURN, Flight, Piece, flight_of, horner
+from jackbox_env.exact.flight import (
+    DEGREE,
+    PUSH_X,
+    PUSH_Y,
+    RECIPROCALS,
+    TURN,
+    Flight,
+    Piece,
+    constant_piece,
+    flight_of,
+    horner,
+)
 from jackbox_env.exact.geometry import Frame, box_frame, frame_of, gradient, rate_of, view_of
 from jackbox_env.exact.search import (
     ALL,
@@ -44,7 +60,7 @@ from jackbox_env.exact.search import (
     slowest,
     why_undecided,
 )
-from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace
+from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace, new_log, new_workspaces
 from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
@@ -335,14 +351,46 @@ def advance_held(
         memory.held.resting[memory.contacts.pairs[contact]] += impulse
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
+    ended = Status.DONE
     if event.kind == IMPACT:
         memory.evaluations += 1.0
-        resolve(scene, memory, log, resolution, event.wall, event.foot)
+        ended = resolve(scene, memory, log, resolution, event.wall, event.foot)
     elif released >= 0 and end == 0.0:
         memory.held.released += 1 << memory.contacts.pairs[released]
     if end > 0.0:
         memory.held.released = 0
-    return Status.DONE, end
+    return ended, end
+
+
+def settle_and_advance(
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, flight: Flight, horizon: float,
+    tolerances: ContactTolerances, resolution: float,
+) -> tuple[Status, float]:  # fmt: skip
+    """:func:`settle`, and then :func:`advance_held`, from ``flight.since``; FREE and 0 if no foot rests."""
+    held = settle(scene, memory, piece, flight, horizon, tolerances, resolution)
+    if held == 0:
+        return Status.FREE, 0.0
+    return advance_held(scene, memory, log, piece, tolerances, resolution, flight.since, held)
+
+
+def example() -> tuple[Any, ...]:
+    """What :func:`settle_and_advance` returns, and arguments of it."""
+    scene, piece = SceneNumbers(*[0.0] * len(SceneNumbers._fields)), constant_piece(0.0, 0.0)
+    flight, tolerances = flight_of(scene, np.zeros(12), piece, 0.0), ContactTolerances(0.0, 0.0)
+    return (Status.DONE, 0.0), scene, new_workspaces()[0], new_log(), piece, flight, 0.0, tolerances, 0.0
+
+
+rest_at = called_later(lambda: settle_and_advance, example)
+
+
+def advance_resting(
+    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, flight: Flight, horizon: float,
+    tolerances: ContactTolerances, resolution: float,
+) -> tuple[Status, float]:  # fmt: skip
+    """Call :func:`settle_and_advance` by its address; UNCOMPILED if it is not compiled yet."""
+    if not is_compiled(memory.rest):
+        return Status.UNCOMPILED, 0.0
+    return rest_at(memory.rest)(scene, memory, log, piece, flight, horizon, tolerances, resolution)
 
 
 def first_release(memory: Workspace, count: int, length: float) -> tuple[float, int]:

@@ -61,9 +61,10 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
         first: step at which the first block begins.
 
     Returns:
-        How it ended: DONE, PAUSED after long work, FULL if the log has no room for a step's impacts, or the status of
-        the step that failed. The row that failed, or the block to go on with, from ``memory.lane`` on. The step that
-        failed or is next. The number of episodes that ended. The number of impacts recorded.
+        How it ended: DONE, PAUSED after long work, FULL if the log has no room for a step's impacts, UNCOMPILED if a
+        step needs what is compiled later, or the status of the step that failed. The row that failed, or the block to
+        go on with, from ``memory.lane`` on. The step that failed or is next. The number of episodes that ended. The
+        number of impacts recorded.
     """
     call = arguments_at(address)
     scenes, rules, results, scratch = call.scenes, call.rules, call.results, call.memory.scratch
@@ -91,7 +92,7 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
             if memory.lane == 0:
                 memory.glided = 1 if fly_block(scene, params, scenes, block, memory) else 0
             ended, lane, recorded = step_lanes(scene, params, address, block, k, recorded)
-            if ended == Status.FULL or ended == Status.PAUSED:
+            if ended == Status.FULL or ended == Status.PAUSED or ended == Status.UNCOMPILED:
                 return ended.value, number, k, finished, recorded
             memory.lane = 0
             if ended != Status.DONE:
@@ -215,7 +216,7 @@ def step_lanes(
             row_scene, row_params, before[:, lane], after[:, lane], time, scratch[APPLIED, lane], pieces, memory, room
         )  # fmt: skip
         if ended != Status.DONE:
-            return ended, lane, recorded
+            return ended, lane, already if ended == Status.UNCOMPILED else recorded
         if log.shape[0]:
             if memory.hits > room.shape[0]:
                 return Status.FULL, lane, already

@@ -19,7 +19,18 @@ import numpy as np
 
 from jackbox_env.exact.compiler import called_at, fixed_tuple, packed, unpacked_as
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
-from jackbox_env.exact.workspace import APPLIED, HITS, IMPULSE_SUM, OVER, TIME, TORQUE, make_numbers
+from jackbox_env.exact.workspace import (
+    APPLIED,
+    HITS,
+    IMPULSE_SUM,
+    OVER,
+    TIME,
+    TORQUE,
+    WIDTH,
+    Status,
+    arguments_at,
+    make_numbers,
+)
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total
@@ -289,6 +300,29 @@ def judge(address: Any, state: Array, time: float, torque: float, impulse: float
     if observation.shape[0] and not row_observer(observer)(values, state, time, observation):
         return -1
     return 1 if over else 0
+
+
+one_row: Any = called_at("UniTuple(i8, 5)(i8, i8, i8, i8)")
+
+
+def step_and_judge(run: Any, address: Any, judged: Any, observation: Floats) -> tuple[int, int, int]:
+    """Step the only row of a call, and :func:`judge` its state, in one call from Python.
+
+    Args:
+        run: address of ``run.run``.
+        address: of its arguments.
+        judged: of the arguments of :func:`judge`.
+        observation: to be written; of length 0: not wanted.
+
+    Returns:
+        How it ended, the number of recorded impacts, and what :func:`judge` returns, 0 if the step is not DONE.
+    """
+    ended, _, _, _, hits = one_row(run)(address, 0, 1, 0)
+    if ended != Status.DONE.value:
+        return ended, hits, 0
+    call = arguments_at(address)
+    row, torque, impulse = call.after[0].reshape(WIDTH), call.memory.scratch[TORQUE], call.memory.scratch[IMPULSE_SUM]
+    return ended, hits, judge(judged, row[:12], row[TIME], torque[0], impulse[0], observation)
 
 
 def score_block(

@@ -34,7 +34,7 @@ from jackbox_env.exact.flight import (
     stays_clear,
 )
 from jackbox_env.exact.geometry import without_turns
-from jackbox_env.exact.rest import advance_held, record_rest, settle
+from jackbox_env.exact.rest import advance_resting, record_rest
 from jackbox_env.exact.search import (
     AT_REST,
     NO_IMPACT,
@@ -313,12 +313,11 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         rest_resolution = -math.inf if none_rests else resolution
         event = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
         if event.kind == AT_REST:
-            held = settle(scene, memory, piece, flight, horizon, tolerances, resolution)
-            if held == 0:
+            ended, time = advance_resting(scene, memory, log, piece, flight, horizon, tolerances, resolution)
+            if ended == Status.FREE:
                 none_rests = True
                 continue
             untouched = False
-            ended, time = advance_held(scene, memory, log, piece, tolerances, resolution, since, held)
             if ended != Status.DONE:
                 return ended
             since += time
@@ -338,21 +337,23 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         untouched = False
         # Evolve, resolve, record.
-        strike(scene, memory, log, flight, event, resolution)
+        ended = strike(scene, memory, log, flight, event, resolution)
+        if ended != Status.DONE:
+            return ended
         since += event.time
     return Status.DONE
 
 
 def strike(
     scene: SceneNumbers, memory: Workspace, log: Array, flight: Flight, impact: Event, resolution: float
-) -> None:
-    """Fly to an impact, and resolve all contacts there."""
+) -> Status:
+    """Fly to an impact, and resolve all contacts there; return DONE, or UNCOMPILED as ``contact.resolve`` does."""
     evolve(memory, flight, impact.time)
     memory.elapsed += impact.time
     memory.evaluations += 1.0
     if memory.hits < log.shape[0] and log.shape[1] == WIDE:
         record_state(log[memory.hits], flight, memory, impact.time)
-    resolve(scene, memory, log, resolution, impact.wall, impact.foot)
+    return resolve(scene, memory, log, resolution, impact.wall, impact.foot)
 
 
 def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:

@@ -69,6 +69,8 @@ class Workspace(np.record):  # type: ignore[misc]
     before: Annotated[Array, 12]  # of a tangent: the state just before an impact
     after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
     drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
+    rest: int  # address of ``rest.settle_and_advance``; 0: not compiled yet, see late.py
+    together: int  # address of ``contact.bounce_together``; 0: not compiled yet
     powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
     contacts: Contacts
     held: HeldFeet
@@ -144,7 +146,10 @@ def new_log(impacts: int = 0, wide: bool = False) -> Array:
 
 
 class Status(IntEnum):
-    """How a step or a call ended. All but DONE, PAUSED, FULL and FREE are errors, which leave the state unchanged."""
+    """How a step or a call ended.
+
+    All but DONE, PAUSED, FULL, FREE and UNCOMPILED are errors, which leave the state unchanged.
+    """
 
     DONE = 0
     TOO_MUCH_WORK = 1  # more gap evaluations than a step may take
@@ -155,10 +160,11 @@ class Status(IntEnum):
     BAD_REWARD = 6  # NaN or infinite
     PAUSED = 7  # after long work, so that Python can handle an interruption: call again
     FULL = 8  # no room for a step's impacts: call again with more
-    FREE = 9  # of a piece: no foot touches a wall, and the state is unchanged
+    FREE = 9  # of a piece: no foot touches a wall, or of feet at rest: there are none; the state is unchanged
     NO_DRIVE = 10  # a function of the drive fails over the step
     BAD_TORQUE = 11  # of an action: NaN
     BAD_OBSERVATION = 12  # NaN
+    UNCOMPILED = 13  # a step needs what is compiled later: call again with it, see late.py
 
 
 class Scenes(NamedTuple):

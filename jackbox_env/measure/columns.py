@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
+from jackbox_env.measure.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, THETA_JACK, Array
 
@@ -19,6 +21,12 @@ EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
 _USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
+# Frames a second of cameras and loggers, and of television.
+_RATES = (
+    *(24, 25, 30, 48, 50, 60, 72, 75, 80, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 400, 480, 500, 1000),
+    *(rate / 1.001 for rate in (24, 30, 48, 60, 120, 240, 480)),
+)
+_COARSE = 0.4  # of a step: rounding below leaves no doubt about missing frames
 _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
@@ -57,8 +65,8 @@ def evened(
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
-    if torques is not None and torque == "sampled":
-        torques = np.interp(np.arange(len(states)), rows, filled(table, "torque", torques))
+    if torques is not None and torque != "held":
+        torques = without_gaps(filled(table, "torque", torques), rows)
     elif torques is not None:
         torques = filled(table, "torque", torques[:-1])
         torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
@@ -148,16 +156,21 @@ def rounding_of(times: Array) -> float:
 
 
 def _gaps(steps: Array, rounding: float) -> Array:
-    """How many frames each step of time has: as few as the rounding of the times allows."""
+    """How many frames each step of time has.
+
+    If coarse rounding leaves doubt, there are as many frames a second as the slowest usual rate allows.
+    """
     usual = float(np.quantile(steps, _USUAL, method="lower"))
-    reaches = 0.5 * usual, max(0.5 * usual, 1.5 * rounding)  # rounding shifts a single step
-    most, fewer = (np.round(steps / steps[abs(steps - usual) < reach].mean()) for reach in reaches)
-    certain = len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING
-    for gaps in () if certain else (np.ones(len(steps)), fewer):
-        rows, times = np.cumsum(gaps), np.cumsum(steps)
+    most = np.round(steps / steps[abs(steps - usual) < 0.5 * usual].mean())
+    if len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING or rounding < _COARSE * usual:
+        return np.asarray(most)
+    times = np.cumsum([0.0, *steps])
+    at_rates = ((times + 0.1 * n * rounding) * rate for rate in sorted(_RATES) for n in range(-5, 6))
+    for gaps in chain([np.ones(len(steps))], (np.diff(np.round(frames)) for frames in at_rates)):
+        rows = np.cumsum([0.0, *gaps])
         dt = np.polyfit(rows, times, 1)[0]
         if gaps.min() > 0.0 and np.ptp(times - dt * rows) < 2.0 * EVEN * dt + rounding:
-            return gaps
+            return np.asarray(gaps)
     return np.asarray(most)
 
 

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.measure.columns import evened
 from jackbox_env.measure.tables import Table, stored_scene, table_of
+from jackbox_env.measure.torques import TORQUE_KINDS, torques_between
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, VX_JACK, X_JACK, Array
 from jackbox_env.tools import checks as check
 
-TORQUES = ("held", "sampled")
 SHORTEST = 1e-9  # [s] between states
 IMPACT = "impacts"  # the name of the noise of impacts' times
 _SMALLEST_NOISE = 1e-12  # of the argument, in SI units
@@ -37,14 +37,16 @@ class Recording:
 
     Args:
         states: shape (H + 1, 12), NaN where something was not observed.
-        torques: on the box [N m], each constant for ``dt``, shape (H,); None: the scene's drive acted.
+        torques: on the box [N m], each constant for ``dt``, shape (H,), or for ``dt / K``, shape (H, K); None: the
+            scene's drive acted.
         dt: between states [s], from 1e-9 to 1e9.
         time: of the first state [s].
         impacts: times at which impacts were heard [s], in order; None: nobody listened.
-        torque: "held", or "sampled": ``torques`` were measured with the states, shape (H + 1,), and change linearly.
+        torque: "held"; or ``torques`` were measured with the states, shape (H + 1,): "sampled" from a smooth curve,
+            or "linear" from one to the next. The means of each quarter of a step act.
 
     Attributes:
-        states, torques, dt, time, impacts: the same, as arrays and floats; torques constant for ``dt`` in any case.
+        states, torques, dt, time, impacts: the same, as arrays and floats; ``torques`` are those that act.
         notes: what :meth:`from_frame` changed, each in a sentence without a full stop.
 
     Raises:
@@ -55,7 +57,7 @@ class Recording:
         self, states: ArrayLike, torques: ArrayLike | None, dt: float, time: float = 0.0,
         impacts: ArrayLike | None = None, torque: str = "held",
     ) -> None:  # fmt: skip
-        check.choice("torque", torque, TORQUES)
+        check.choice("torque", torque, TORQUE_KINDS)
         self.states: Array = np.array(check.array("states", states, "be numbers"), dtype=np.float64)
         if self.states.ndim != 2 or self.states.shape[1] != 12 or len(self.states) < 2:
             raise ValueError(f"states must have shape (H + 1, 12) with H >= 1, got {self.states.shape}")
@@ -67,10 +69,12 @@ class Recording:
         self.time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         count, one = (len(self.states) - 1, "step") if torque == "held" else (len(self.states), "state")
         self.torques = None if torques is None else _finite("torques", torques)
-        if self.torques is not None and self.torques.shape != (count,):
-            raise ValueError(f"torques must have shape ({count},), one for each {one}, got {self.torques.shape}")
-        if self.torques is not None and torque == "sampled":
-            self.torques = _of_samples(self.torques)
+        shape = (count,) if self.torques is None else self.torques.shape
+        in_parts = torque == "held" and len(shape) == 2 and shape[0] == count and shape[1] > 0
+        if not (shape == (count,) or in_parts):
+            raise ValueError(f"torques must have shape ({count},), one for each {one}, got {shape}")
+        if self.torques is not None and torque != "held":
+            self.torques = torques_between(self.torques, torque)
         self.impacts = None if impacts is None else _finite("impacts", impacts)
         if self.impacts is not None and (self.impacts.ndim != 1 or (np.diff(self.impacts) < 0.0).any()):
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
@@ -106,7 +110,8 @@ class Recording:
                 that are no names here are then left out.
             y_down: whether y points downwards and angles are clockwise, as in images. A torque stays.
             impacts: times at which impacts were heard [s].
-            torque: whether each torque was "held" to the next row, or "sampled": it changes linearly.
+            torque: whether each torque was "held" to the next row, "sampled" from a smooth curve, or "linear" to the
+                next.
 
         Raises:
             TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
@@ -143,16 +148,6 @@ def _finite(name: str, values: Any) -> Array:
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
     return array
-
-
-def _of_samples(samples: Array) -> Array:
-    """Constant torques of the steps between samples that turn the box about as a linear torque does.
-
-    The means alone would turn the box too far by dt^2 / 12 times its acceleration. A twelfth of the second difference
-    takes that out, up to third differences.
-    """
-    means, slopes = 0.5 * (samples[1:] + samples[:-1]), np.diff(samples)
-    return means if len(slopes) < 2 else np.asarray(means - np.gradient(slopes) / 12.0)
 
 
 def pushed(recording: Recording, scene: Scene) -> bool:

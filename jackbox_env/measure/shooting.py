@@ -123,15 +123,17 @@ def _played(
     recording: Recording, windows: Sequence[Window], parameters: Parameters, numbers: Array
 ) -> list[Motion] | None:
     """The motions of windows of a recording; None if the model cannot follow one."""
-    counts = [window.last - window.first for window in windows]
-    longest, torques = max(counts), None
-    if recording.torques is not None:
-        steps = np.add.outer([window.first for window in windows], np.arange(longest))
-        torques = recording.torques[np.minimum(steps, len(recording.torques) - 1)]
+    torques = recording.torques
+    parts = 1 if torques is None else torques.size // len(torques)  # of a step
+    counts, dt = [parts * (window.last - window.first) for window in windows], recording.dt / parts
+    longest = max(counts)
+    if torques is not None:
+        steps = np.add.outer([parts * window.first for window in windows], np.arange(longest))
+        torques = torques.ravel()[np.minimum(steps, torques.size - 1)]
     times = [recording.time + window.first * recording.dt for window in windows]
     try:
         lin = linearize(
-            parameters.scene(numbers), [window.start for window in windows], torques, recording.dt, times,
+            parameters.scene(numbers), [window.start for window in windows], torques, dt, times,
             fields=parameters.fields, steps=longest if torques is None else None, num_threads=1,
         )  # fmt: skip
     except (ValueError, JackLostError):
@@ -153,8 +155,8 @@ def _played(
         by_start = jacobians[: count + 1, row]
         times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], by_start[step])
         times_jacobian[:, 12:] += gradients[:, 13:] * slopes
-        states, at = lin.trajectories[row, : count + 1], time + step * recording.dt + since
-        results.append(Motion(states, by_start, min(int(smooth[row]), count), at, times_jacobian))
+        states, at = lin.trajectories[row, : count + 1 : parts], time + step * dt + since
+        results.append(Motion(states, by_start[::parts], min(int(smooth[row]), count) // parts, at, times_jacobian))
     return results
 
 

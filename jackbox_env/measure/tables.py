@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.measure.text import DELIMITERS, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
+from jackbox_env.measure.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
 UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
+# ISO 8601; a zone is left out.
+_MOMENT = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d{1,9})?)(?:Z|[-+]\d\d:?\d\d)?\s*", re.ASCII)
 _THOUSANDS = re.compile(r"[-+\u2212]?[1-9]\d{0,2}(,\d{3})+")
 
 
@@ -84,13 +86,19 @@ def read_table(path: Path, array: str) -> Table:
             raise ValueError(f"{path}: there must be an array {array}, got {', '.join(arrays)}")
         return table_of({"time": arrays[array]} if array == "impact_time" else arrays, f"{path}, ")
     headers, lines, rows, delimiter, at_line, notes = read_rows(path)
-    width = len(headers)
+    widths, numbers = {len(row) for row in rows}, [row[0].strip() for row in rows]
+    if widths == {len(headers) + 1} and delimiter != "," and numbers == [str(n + 1) for n in range(len(rows))]:
+        headers = ["", *headers]  # R numbers the rows
+    # LabVIEW's rows lack the last cell, of a comment.
+    width = min(len(headers), max(widths)) if widths and delimiter == "\t" else len(headers)
+    if without := ", ".join(header for header in headers[width:] if header.strip()):
+        notes = (*notes, f"left out, because no row has a cell for them: {without}")
     for line, row in zip(lines, rows, strict=True):
         if len(row) < width or any(cell.strip() for cell in row[width:]):
             needed = f"{width} cells like row {at_line}, with {DELIMITERS[delimiter]} between and points in numbers"
             raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
     columns = zip(*(row[:width] for row in rows), strict=True) if rows else [()] * width
-    return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines, at_line, notes)
+    return Table(list(zip(headers[:width], columns, strict=True)), f"{path}, ", lines, at_line, notes)
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
@@ -140,7 +148,7 @@ def in_si_units(
     chosen, left_out = _chosen(table, units, names or {}, strict)
     decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
     columns = {
-        name: factor * _numbers(table, header, values, decimal_commas)
+        name: factor * _numbers(table, header, values, decimal_commas, 1.0 / factor if units[name] == "s" else None)
         for name, (header, factor, values) in chosen.items()
     }
     listed = ", ".join(repr(header) for header, _ in table.columns)
@@ -167,6 +175,7 @@ def _chosen(
     for header, values in table.columns:
         bare, unit = parts(header, units)
         name = by_text.get(header.strip(), by_text.get(bare, ""))
+        bare = bare.lower() if bare.lower() in units else bare
         if not name and (not bare or ((names or not strict) and (bare not in units or bare in names))):
             left_out.append(header)
             continue
@@ -193,18 +202,29 @@ def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
     return bool(commas)
 
 
-def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Array:
-    """The numbers of a column; NaN for an empty cell or a marker like NA."""
-    if table.lines is not None:
+def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, second: float | None) -> Array:
+    """The numbers of a column; NaN for an empty cell or a marker like NA.
+
+    In a column of times, of which a ``second`` has so many units, moments and durations become numbers too.
+    """
+    moments = [_MOMENT.fullmatch(cell) for cell in values] if second and table.lines is not None else [None]
+    if all(moments):
+        values = np.array([moment[1] for moment in moments if moment], dtype="datetime64[ns]")
+    elif table.lines is not None:
         cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
-        read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
+        numerals = [cell if NUMBER.fullmatch(cell) and "," not in cell else "nan" for cell in cells]
+        read = np.array([float(one.lower().replace("d", "e")) for one in numerals])
         for line, cell in enumerate(cells):
             if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):
                 what = f"must be a number or empty, got {check.shown(values[line].strip())}"
                 raise ValueError(f"{table.at(line)}, column {header}: {what}")
         return read
-    array = np.asarray(values)
+    array = np.ma.filled(values.astype(np.float64), math.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
     try:
+        if second and array.dtype.kind in "mM":
+            array = (array - np.zeros((), array.dtype)) / np.timedelta64(1, "s") * second
+        elif second and hasattr(next(iter(array), None), "timestamp"):  # with a zone
+            array = np.array([one.timestamp() * second for one in array])
         numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
     except (TypeError, ValueError):  # an object that is no number
         numbers = None
@@ -218,6 +238,8 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool) -> Ar
 
 def _factor(table: Table, header: str, unit: str | None, of_names: str | None, si: str) -> float:
     """The unit of a column [si], which the header or ``names`` have."""
+    if unit is None:  # it may be within, as in Position (mm) Run #1
+        unit = next((one for one in re.findall(r"[(\[]([^][()]*)[)\]]", header) if plain(one) in KNOWN), None)
     if unit is not None and of_names is not None and plain(unit) != plain(of_names):
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {of_names!r}, chosen for it")
     in_parentheses = re.search(r"\(([^()]*)\)\s*$", header)

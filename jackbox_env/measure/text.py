@@ -13,14 +13,27 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-_MISSING = r"|--?|\?|#?n/?a|<na>|nan|null|none"  # no number
-NUMBER = re.compile(r"\s*[-+\u2212]?(\d+\.?|\d*[.,]\d+)(e[-+]?\d+)?\s*", re.ASCII | re.IGNORECASE)
+# No number: of C, Excel and Julia too.
+_MISSING = r"|--?|\?|#?n/?a|<na>|[-+]?nan(\([a-z]*\))?|null|none|missing|#(div/0|num|value|ref)!"
+NUMBER = re.compile(r"\s*[-+\u2212]?(\d+\.?|\d*[.,]\d+)([de][-+]?\d+)?\s*", re.ASCII | re.IGNORECASE)
 VALUE = re.compile(rf"{NUMBER.pattern}|\s*({_MISSING})\s*", re.ASCII | re.IGNORECASE)
-_COMMENT = re.compile(r"\s*(#|%|//|sep=.\s*$)", re.IGNORECASE)
+_COMMENT = re.compile(r"\s*(#|%|//|sep=.\s*$|[|+:\s]*-{3,}[-|+:\s]*$)", re.IGNORECASE)
+_THOUSANDS = re.compile(r"(?<=\d)[\u00a0\u202f'\u2019](?=\d{3}(?!\d))")  # that can be nothing else
+_END_OF_SETTINGS = "***End_of_Header***"  # of LabVIEW, which may repeat it
+_PAIR = r"[^,]*\w\s*[:=]\s*[-+.\d]+"  # name and number
+_FORMS = {  # that are refused, of the cells of the first row, and of the headers in the next line
+    r"scorer,": "this is a table of DeepLabCut, of frames and pixels; write one row of headers, a column time, and "
+    "positions in a unit",
+    r"\s*<": "this is a page of HTML or XML; open it in a spreadsheet and save its table as CSV",
+    r"\s*[{[]\s*([{[\"\d]|\n)": "this is JSON; write a row of names and then rows of numbers, or give "
+    "Recording.from_frame a dict of columns",
+    rf".*\n{_PAIR}(,{_PAIR})*$": "names must be in a row above the numbers, not before each number",
+    r".*\n\s*\d\d:\d\d:\d\d": "must have names of columns, and times in seconds",
+}
 _TRIED = 200  # lines that show the delimiter
 _TURN = 2.0 * math.pi  # [rad]
 _DEGREE = _TURN / 360.0  # [rad]
@@ -33,6 +46,11 @@ OTHER_UNITS = {  # in SI units, by the SI unit
     "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3, "kNm": 1e3},
     "N s": {},
 }
+_WORDS = {
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "millimeter": "mm", "millimeters": "mm", "micron": "um",
+    "microns": "um", "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg",
+}  # fmt: skip
 
 
 def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, int, tuple[str, ...]]:
@@ -47,7 +65,8 @@ def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, i
     """
     text = list(io.StringIO(_decoded(path), newline=""))
     comments = {number: line for number, line in enumerate(text, start=1) if _COMMENT.match(line)}
-    text = ["" if number in comments else line for number, line in enumerate(text, start=1)]
+    settings = max((n for n, line in enumerate(text, start=1) if line.startswith(_END_OF_SETTINGS)), default=0)
+    text = ["" if number in comments or number <= settings else line for number, line in enumerate(text, start=1)]
     delimiter = max(DELIMITERS, key=lambda one: _fitness([row for _, row in _split(path, text[:_TRIED], one)]))
     rows = _split(path, text, delimiter)
     index = _header([row for _, row in rows])
@@ -55,11 +74,10 @@ def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, i
         rows, index = [*_commented(path, comments, rows, delimiter), *rows], 0
     if rows and all(map(VALUE.fullmatch, rows[0][1])):
         raise ValueError(f"{path}, row {rows[0][0]}: must have names of columns, got {', '.join(rows[0][1])[:80]}")
-    if rows and rows[0][1][0].strip() == "scorer":
-        raise ValueError(
-            f"{path}, row 1: this is a table of DeepLabCut, of frames and pixels; write one row of headers, a column "
-            "time, and positions in a unit"
-        )
+    shown = "\n".join(",".join(rows[n][1]) for n in (0, index) if rows)
+    for form, sentence in _FORMS.items():
+        if re.match(form, shown):
+            raise ValueError(f"{path}, row {rows[0][0]}: {sentence}")
     headers, used = _joined([row for _, row in rows[: index + 1]])
     before = ", ".join(f"row {line}" for line, _ in rows[: max(0, index + 1 - used)])
     lines, cells = [line for line, _ in rows[index + 1 :]], [row for _, row in rows[index + 1 :]]
@@ -77,7 +95,7 @@ def _decoded(path: Path) -> str:
         text = data.decode("cp1252", errors="replace")
     if "\0" in text or data.startswith((b"PK\3\4", b"\xd0\xcf\x11\xe0", b"\x1f\x8b")):
         raise ValueError(f"{path}: must be a text file or an npz file; save a spreadsheet as CSV")
-    return text
+    return _THOUSANDS.sub("", text)
 
 
 def _split(path: Path, text: Iterable[str], delimiter: str) -> list[tuple[int, list[str]]]:
@@ -109,15 +127,15 @@ def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
 
 
 def _header(rows: Sequence[Sequence[str]]) -> int | None:
-    """The last row of text before the first row of numbers; None if there is none."""
+    """The last row of text before the first five rows of numbers, or before most of fewer; None if there is none."""
     width = _width(rows)
-    for first, row in enumerate(rows):
-        if all(map(VALUE.fullmatch, row)):
-            return None
-        if _width([row]) >= width and not any(map(NUMBER.fullmatch, row)):
-            texts = (not (any(map(NUMBER.fullmatch, one)) or all(map(VALUE.fullmatch, one))) for one in rows[first:])
-            return first + next((n for n, is_text in enumerate(texts) if not is_text), 1) - 1
-    return None
+    kinds = [any(map(NUMBER.fullmatch, row)) or all(map(VALUE.fullmatch, row)) for row in rows]  # of numbers
+    names = [n for n, row in enumerate(rows) if not kinds[n] and _width([row]) >= width]
+    if not names or any(_width([row]) >= width and all(map(VALUE.fullmatch, row)) for row in rows[: names[0]]):
+        return None
+    lengths = [end - start for start, end in pairwise([*names, len(rows)])]
+    first = next(n for n, length in zip(names, lengths, strict=True) if length > min(4, max(lengths) // 2))
+    return first + next((n for n, of_numbers in enumerate(kinds[first:]) if of_numbers), 1) - 1
 
 
 def _commented(
@@ -134,24 +152,30 @@ def _joined(levels: Sequence[Sequence[str]]) -> tuple[list[str], int]:
 
     Units below names are added, and groups above names that come twice.
     """
-    above, names = ([], [], *levels)[-2:]
+    names, above, used = ([*levels] or [[]])[-1], [*levels[:-1]], 1
     named = [name.strip() for name in names if name.strip()]
     known = [plain(name.strip("[]()")) in KNOWN for name in named]
-    if above and known[0] and 2 * sum(known) > len(known):
-        units = [unit.strip().strip("[]()") for unit in (*names, *[""] * len(above))]
-        return [f"{name} [{unit}]" if unit else name for name, unit in zip(above, units, strict=False)], 2
-    if not above or len({*named}) == len(named):
-        return list(names), 1
-    groups: Iterator[str] = accumulate([*above, *[""] * len(names)], lambda group, cell: cell.strip() or group)
-    return [f"{group} {name}".strip() if name.strip() else "" for group, name in zip(groups, names, strict=False)], 2
+    if above and (known[0] or named[0][0] in "[(") and 2 * sum(known) > len(known):
+        units = [unit.strip().strip("[]()") for unit in (*names, *[""] * len(above[-1]))]
+        used, names = 2, [f"{name} [{unit}]" if unit else name for name, unit in zip(above.pop(), units, strict=False)]
+    for number, level in enumerate(reversed(above), start=used + 1):
+        groups: Iterator[str] = accumulate([*level, *[""] * len(names)], lambda group, cell: cell.strip() or group)
+        joined = [
+            f"{group} {name}".strip() if name.strip() and names.count(name) > 1 else name
+            for group, name in zip(groups, names, strict=False)
+        ]
+        if len({*joined}) > len({*names}) and not any(map(NUMBER.fullmatch, level)):
+            used, names = number, joined
+    return list(names), used
 
 
 # -- units in headers --------------------------------------------------------------------------------------------------
 
 
 def plain(unit: str) -> str:
-    """A unit as it is compared: one kind of mu, no spaces and no signs of multiplication."""
-    return re.sub(r"[\s·⋅*]", "", unicodedata.normalize("NFKC", unit))
+    """A unit as it is compared: one kind of mu, no spaces, no signs of multiplication, m/s for m s^-1, m for Meters."""
+    bare = re.sub(r"[\s·⋅*.]", "", unicodedata.normalize("NFKC", unit))
+    return re.sub(r"(.)s\^?[-\u2212]1$", r"\1/s", _WORDS.get(bare.lower(), bare))
 
 
 KNOWN = {plain(unit) for si, others in OTHER_UNITS.items() for unit in (si, *others)}

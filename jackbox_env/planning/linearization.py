@@ -48,14 +48,16 @@ class Linearization:
         self, scenes: list[Scene], dt: float, torques: Array, kinds: NDArray[np.int64], seeds: Array,
         trajectories: Array, tape: Tape, num_threads: int | None,
     ) -> None:  # fmt: skip
-        self.trajectories, self.smooth = trajectories, np.zeros(tape.nonsmooth.shape, np.bool_)
+        smooth = np.zeros(tape.nonsmooth.shape, np.bool_)
         self._seeds, self._num_threads, self._tape = seeds, num_threads, tape
         begins = np.concatenate([[0], np.cumsum(tape.hits)])
         numbers = np.array([scene.numbers for scene in scenes])
-        self._played = derivatives.Played(numbers, kinds, dt, torques, trajectories, tape.rows, begins, self.smooth)
+        self._played = derivatives.Played(numbers, kinds, dt, torques, trajectories, tape.rows, begins, smooth)
         compiled(derivatives.mark_smooth)(
             self._played, tape.nonsmooth, np.zeros((tangents.ROWS, len(derivatives.GROWING))), new_workspaces()
         )
+        # Views, as compiled code would be compiled once more for arrays that are read-only.
+        self.trajectories, self.smooth = trajectories.view(), smooth.view()
         _lock(self.trajectories, self.smooth)
 
     def __iter__(self) -> Iterator[Array | Flags]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.late import with_all
 from jackbox_env.exact.motion import Moments, coast, fly
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.model.scene import Scene
@@ -149,7 +150,7 @@ class Record:
         )
         states: Array = np.empty((count, 12))
         loop = compiled(fly) if resting else compiled(fly, advance=coast)
-        failed = loop(np.array(scene.numbers), kind, moments, states, new_workspaces(), np.zeros((_ROOM, 4)))
+        failed = loop(np.array(scene.numbers), kind, moments, states, with_all(new_workspaces()), np.zeros((_ROOM, 4)))
         if failed >= 0:
             raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")
         return states

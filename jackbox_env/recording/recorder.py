@@ -57,7 +57,7 @@ Advance = Callable[[Array, float, float, int, Array | None], Record]
 
 def exact_advance(scene: Scene) -> Advance:
     """Simulation by the exact contact model; an error in a step ends it before, as the record's failure."""
-    ensure_compiled()
+    ensure_compiled(not scene.elastic)
     return partial(_exact_record, scene)
 
 

@@ -38,9 +38,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.flight import TABLE_WIDTH
+from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
+from jackbox_env.exact.score import one_row, step_and_judge
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
@@ -55,6 +57,7 @@ from jackbox_env.exact.workspace import (
     Scenes,
     Status,
     new_memory,
+    new_workspaces,
 )
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
@@ -108,10 +111,15 @@ def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the ja
 
 
 @cache
-def ensure_compiled() -> None:
-    """Compile a step, or load it: at an episode's start, and not in its first step behind a progress bar."""
+def ensure_compiled(lossy: bool = False) -> None:
+    """Compile a step, or load it: at an episode's start, and not in its first step behind a progress bar.
+
+    Feet at rest are included if a scene is ``lossy``.
+    """
     simulator = ExactSimulator(Scene())
     simulator.step(0.02, 0.0)
+    if lossy:
+        with_all(new_workspaces())
 
 
 class ExactSimulator(Simulator):
@@ -128,7 +136,9 @@ class ExactSimulator(Simulator):
         self._prepare()
 
     @override
-    def stepped(self, dt: float, torque: float | None) -> StepResult:
+    def stepped(
+        self, dt: float, torque: float | None, judged: int = 0, observation: NDArray[np.float32] | None = None
+    ) -> StepResult:
         present, held = self._present, torque is not None
         if torque is not None:
             self._control[0] = torque
@@ -139,13 +149,16 @@ class ExactSimulator(Simulator):
             self._states[1 - into][:] = present.state
         call, self._times[1 - into][0] = self._calls[into], present.time
         while True:
-            ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
+            if observation is None:
+                ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
+            else:
+                ended, hits, self.verdict = self._step_and_judge(self._loop, call.address, judged, observation)
             if not ended:
                 break
-            if ended != Status.FULL:
+            if ended not in AGAIN:
                 end_of_step(present.time, dt)
                 raise failure(ended, self.scene, present.time, dt)
-            call = self._calls[into] = call.with_room()  # and repeat the step
+            call = self._calls[into] = repaired(call, ended)  # and repeat the step
         impacts = recorded(call.memory.log[:hits], present.time) if hits else ()
         return _new(StepResult, (self._states[into], present.time + dt, self._torques[into][0], impacts))
 
@@ -157,7 +170,7 @@ class ExactSimulator(Simulator):
 
     @override
     def reset(self, state: ArrayLike, time: float = 0.0) -> None:
-        ensure_compiled()
+        ensure_compiled(not self.scene.elastic)
         super().reset(state, time)
 
     @override
@@ -176,6 +189,7 @@ class ExactSimulator(Simulator):
         blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
         self._blocks, self._states, self._run = blocks, list(blocks[:, 0, :12, 0]), compiled(run)
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
+        self._loop, self._step_and_judge = 0, compiled(step_and_judge)
         self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
         self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
@@ -195,7 +209,7 @@ class ExactSimulator(Simulator):
         rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared = [None, None]
+        self._prepared, self._loop = [None, None], address_of(self._run, one_row)
         for into, call in enumerate(self._calls):
             call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
         if not self._cut[held]:

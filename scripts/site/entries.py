@@ -11,12 +11,14 @@ from typing import Any
 
 from numba.np.arrayobj import get_cfarray_intrinsic
 
+from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.flight import TABLE_WIDTH
+from jackbox_env.exact.rest import settle_and_advance
 from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
 from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
-from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, make_numbers
+from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, Workspace, make_numbers
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over
@@ -58,6 +60,19 @@ def step(buffer: Any, workspace: Any) -> None:
     )
     status, d[MEAN_TORQUE] = step_once(scene, params, before, after, d[TIME], d[TORQUE], none, memory, log)
     d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
+
+
+def bounce_several(scene: SceneNumbers, memory: Workspace, count: int) -> bool:
+    """Replaces ``contact.bounce_several``, which calls by an address."""
+    bounce_together(scene, memory, count)
+    return True
+
+
+# Compiled with the step, not later.
+AT_ONCE: dict[str, Any] = {
+    "advance_resting": settle_and_advance,
+    "bounce_several": bounce_several,
+}  # compiled with the step
 
 
 def score(buffer: Any) -> None:

@@ -21,7 +21,7 @@ def physics() -> bytes:
         types.CPointer, (types.float64, types.float32, types.uint64, types.int64, scratch)
     )
     exports = {
-        "step": Export(entries.step, (numbers, workspace)),
+        "step": Export(entries.step, (numbers, workspace), entries.AT_ONCE),
         "start": Export(entries.start, (numbers, counts, words)),
         "derive": Export(entries.derive, (numbers,)),
         "measure": Export(entries.measure, (numbers,)),

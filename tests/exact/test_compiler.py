@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import time
@@ -12,10 +13,11 @@ import pytest
 from numba.core.errors import TypingError
 
 from jackbox_env.envs.batches.threads import Threads, thread_count
+from jackbox_env.exact import compiler, late
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.workspace import Call, example, new_memory
+from jackbox_env.exact.workspace import Call, example, new_memory, new_workspaces
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.float32])
@@ -25,6 +27,27 @@ def test_arguments_that_would_be_read_as_another_type_are_refused(kind: type) ->
     scenes = arguments.scenes._replace(kinds=np.zeros(1, kind))
     with pytest.raises(TypingError):
         call.prepare(scenes, *arguments[1:-1])
+
+
+def test_a_function_is_compiled_once_whatever_numbers_its_callers_write() -> None:
+    # Numba compiles a function for each whole number that is a literal argument, and takes much longer for it.
+    late.with_all(new_workspaces())
+    inner = [one for (_, inner), one in compiler._compilation((), True)._twins.items() if inner]
+    signatures = [str(signature) for one in inner for signature in getattr(one, "overloads", {})]
+    assert len(signatures) > 20
+    assert not [signature for signature in signatures if "Literal" in signature]
+
+
+def test_the_collector_of_cycles_runs_again_after_compiling() -> None:
+    draw = compiler.compiled_with(uniform, _HALF=np.uint64(32))
+    assert 0.0 <= draw(seeded(0)) < 1.0
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        compiler.compiled_with(uniform, _HALF=np.uint64(32), _ONE=np.uint64(1))(seeded(0))
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
 
 
 # -- cosines ----------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -120,6 +121,33 @@ def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
     assert Recording.from_frame(columns, {"drive": None}).torques is not None
 
 
+MOMENTS = np.array(["2026-01-05T10:00:00.0", "2026-01-05T10:00:00.1", "2026-01-05T10:00:00.2"], "M8[ms]")
+
+
+@pytest.mark.parametrize(
+    ("times", "from_first"),
+    [
+        (MOMENTS, True),
+        (MOMENTS.astype("M8[us]"), True),
+        ([datetime(2026, 1, 5, 10, 0, 0, 100_000 * n, UTC) for n in range(3)], True),
+        (MOMENTS - MOMENTS[0], False),
+        ((MOMENTS - MOMENTS[0]).astype("m8[ns]"), False),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("header", ["time", "time [ms]"])
+def test_moments_and_durations_are_times(header: str, times: Any, from_first: bool) -> None:
+    recording = Recording.from_frame({header: times, "x_jack": [1.0, 2.0, 3.0]}, STILL)
+    assert recording.dt == pytest.approx(0.1, rel=1e-5)
+    assert recording.notes == ("times count from the first row, at 1767607200 s",) * from_first
+
+
+def test_masked_values_were_not_observed() -> None:
+    seen = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
+    recording = Recording.from_frame({"time": [0.0, 0.1, 0.2], "x_jack": seen}, STILL)
+    np.testing.assert_array_equal(recording.states[:, 3], [1.0, math.nan, 3.0])
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -128,7 +156,7 @@ def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
         ({"columns": {"time": ["a", "b"]}}, "column 'time' must be numbers, got \\['a', 'b'\\]"),
         ({"columns": {"time": [0.0, "b"]}}, "column 'time' must be numbers, got \\[0.0, 'b'\\]"),
         ({"columns": {"time": [[0.0]]}}, "column 'time' must be numbers"),
-        ({"columns": {"time": np.array(["2026-01-01"], "M8[s]")}}, "column 'time' must be numbers"),
+        ({"columns": {"time": [0.0], "x_jack": np.array(["2026-01-01"], "M8[s]")}}, "column 'x_jack' must be numbers"),
         ({"columns": {"time": [0.0, math.inf]}}, "must be finite numbers or NaN, got inf in row 1"),
         ({"columns": {"x_jack": [0.0, 1.0]}}, r"there must be a column time \[s\]"),
         ({"columns": {"time": [0.0, 0.1], "ball": [0.0, 1.0]}}, r"column 'ball' must be one of time \[s\], x_box"),

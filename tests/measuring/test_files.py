@@ -83,7 +83,25 @@ CASES = [
     Case("savetxt_commas.csv"),
     Case("no_headers.csv", refused="row 1: must have names of columns, got 0, 0.5"),
     Case("preamble.csv", TORQUES, notes=(before("row 1, row 2, row 3"),)),
-    Case("labview.lvm", columns="time=X_Value", notes=(before("row 1, row 2, row 3"), left_out("Comment"))),
+    Case("labview.lvm", columns="time=X_Value", notes=(left_out("Comment"),)),
+    Case("labview_long.lvm", columns="time=X_Value", notes=("left out, because no row has a cell for them: Comment",)),
+    Case(
+        "optitrack.csv",
+        columns="time=Time,x_jack=Jack X",
+        notes=(before("row 1, row 3"), left_out("Frame, Box X, Box Y, Jack Y")),
+    ),
+    Case(
+        "vicon.csv",
+        columns="time=Time,x_jack=jack:m1 X",
+        notes=(before("row 1, row 2"), left_out("Frame, jack:m1 Y [mm], jack:m2 X [mm], jack:m2 Y [mm]")),
+    ),
+    Case(
+        "trackmate.csv", columns="time=T,x_jack=X", notes=(before("row 1, row 2"), left_out("Label, Quality [quality]"))
+    ),
+    Case("r_write_table.txt"),
+    Case("markdown.md"),
+    Case("second_run_longer.csv", refused="row 7, column time: must be a number or empty, got 'time'"),
+    Case("two_runs.csv", refused="row 5, column time: must be a number or empty, got 'time'"),
     Case("units_row.csv", TORQUES),
     Case("units_row_bare.csv", TORQUES),
     Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(before("row 1"),)),
@@ -94,6 +112,17 @@ CASES = [
     ),
     Case("tracker_two.txt", refused="row 3: column 't' must be one of time [s]"),
     Case("deeplabcut.csv", refused="row 1: this is a table of DeepLabCut, of frames and pixels; write one row of head"),
+    Case(
+        "page.csv", refused="row 1: this is a page of HTML or XML; open it in a spreadsheet and save its table as CSV"
+    ),
+    Case(
+        "lines.csv", refused="row 1: this is JSON; write a row of names and then rows of numbers, or give Recording.fr"
+    ),
+    Case(
+        "document.csv", refused="row 1: this is JSON; write a row of names and then rows of numbers, or give Recording"
+    ),
+    Case("plotter.log", refused="row 1: names must be in a row above the numbers, not before each number"),
+    Case("monitor.log", refused="row 1: must have names of columns, and times in seconds"),
     # Cells.
     Case(
         "missing.csv",
@@ -106,7 +135,14 @@ CASES = [
             "x_box": [0.0, 0.0, math.nan],
         },
     ),
+    Case(
+        "missing_marks.csv",
+        states={**X, **{name: [math.nan, 1.0, math.nan] for name in ("x_box", "y_box", "y_jack")}},
+    ),
     Case("minus.csv"),
+    Case("fortran.dat"),
+    Case("thousands_spaces.csv"),
+    Case("iso.csv", notes=(UNIX.format(1767607200),)),
     Case("underscore.csv", refused="row 3, column x_jack: must be a number or empty, got '1_0'"),
     Case("clock.csv", refused="row 2, column time: must be a number or empty, got '12:00:00.0'"),
     # Columns that are left out.
@@ -115,7 +151,19 @@ CASES = [
     Case("pandas_index.csv"),
     Case("frame.csv", columns="time=time", notes=(left_out("frame"),)),
     Case("frame.csv", refused="torque [N m]; --columns (in Python names=) reads other headers"),
+    Case("capitals.csv", TORQUES),
     # Units.
+    Case(
+        "exponents.csv",
+        TORQUES,
+        {
+            "omega_jack": [math.pi, math.pi / 2, 0.0],
+            "vx_jack": [0.5, -0.25, 0.125],
+            "vy_jack": [0.5, -0.25, 0.125],
+        },
+    ),
+    Case("pasco.csv", columns="time=Time (ms) Run #1,x_jack=Position (mm) Run #1"),
+    Case("pasco.csv", columns="x_jack=Position (mm) Run #1 [m]", refused="has another unit than 'm', chosen for it"),
     Case("parentheses.csv", TORQUES, {**X, "omega_jack": [math.pi, math.pi / 2, 0.0]}),
     Case("slashes.csv", TORQUES),
     Case("greek_mu.csv"),
@@ -143,6 +191,15 @@ CASES = [
     Case("rounded_60fps_10ms_dropped.csv", dt=1 / 60, notes=(MISSING,), **ROUNDED),
     Case("rounded_240fps_1ms_dropped.csv", dt=1 / 240, notes=(MISSING,), **ROUNDED),
     Case("rounded_100fps_10ms_dropped.csv", dt=1 / 100, notes=(MISSING,), **ROUNDED),
+    Case("rounded_90fps_10ms.csv", dt=1 / 90, **ROUNDED),
+    Case("rounded_90fps_10ms_dropped.csv", dt=1 / 90, notes=(MISSING,), **ROUNDED),
+    Case(
+        "rounded_59.94fps_10ms_dropped.csv",
+        dt=1.001 / 60,
+        frames=600,
+        states={},
+        notes=("40 of 600 frames are missing, and left open",),
+    ),
 ]
 
 

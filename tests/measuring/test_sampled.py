@@ -1,4 +1,4 @@
-"""Torques that were measured with the states, and change linearly between them."""
+"""Torques that were measured with the states, and change between them."""
 
 from __future__ import annotations
 
@@ -10,62 +10,139 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Recording, Scene, rollout
+from jackbox_env import Recording, Scene, rollout, simulate
 from jackbox_env.model.states import RATES, STATE_NAMES, Array
 
 pytest.importorskip("scipy")
 from jackbox_env.commands import fit as command
+from jackbox_env.commands import simulate as simulate_command
+from jackbox_env.commands.fit_page import impact_times
+from jackbox_env.measure.shooting import Motion, Parameters, Window, motion
 
 RATE, PARTS = 30, 16  # frames a second; constant torques for each
 TRUE, START = Scene(jack_mass=4.6, restitution=0.9, drive=None), Scene(drive=None)
 
 
-def measured(seconds: float = 4.0) -> tuple[Array, Array]:
-    """States that a camera sees, and a motor's torques with them: linear from one to the next."""
+def curve(times: Array) -> Array:
+    """The torque of a motor [N m]."""
+    return np.asarray(4e4 * np.sin(2.0 * math.pi * 0.8 * times) + 2e4 * np.sin(2.0 * math.pi * 0.3 * times + 1.0))
+
+
+def measured(kind: str, seconds: float = 4.0) -> tuple[Array, Array]:
+    """States that a camera sees, and a motor's torques with them: of the curve, or linear from one to the next."""
     rng, steps = np.random.default_rng(3), round(seconds * RATE)
     times = np.arange(steps + 1) / RATE
-    samples = 4e4 * np.sin(2.0 * math.pi * 0.8 * times) + 2e4 * np.sin(2.0 * math.pi * 0.3 * times + 1.0)
     middles = (np.arange(steps * PARTS) + 0.5) / (RATE * PARTS)
-    torques = np.interp(middles, times, samples)
+    torques = np.interp(middles, times, curve(times)) if kind == "linear" else curve(middles)
     states = rollout(TRUE, [0.0] * 5 + [0.3] + [0.0] * 6, torques, dt=1.0 / (RATE * PARTS))[0][::PARTS]
     states[:, RATES:] = np.nan
     states[:, :RATES] += np.array([5e-3, 5e-3, 1e-3] * 2) * rng.standard_normal((steps + 1, RATES))
-    return states, samples
+    return states, curve(times)
 
 
-def test_samples_become_constant_torques_and_others_stay() -> None:
-    states, torques = np.zeros((5, 12)), [0.0, 0.0, 12.0, 12.0, 24.0]
-    recording = Recording(states, torques, 0.1, torque="sampled")
-    np.testing.assert_allclose(np.asarray(recording.torques), [-1.0, 6.0, 12.0, 17.0])
-    assert Recording(states[:2], torques[1:3], 0.1, torque="sampled").torques == [6.0]
-    np.testing.assert_array_equal(np.asarray(Recording(states, torques[1:], 0.1).torques), torques[1:])
-    with pytest.raises(ValueError, match=r"torques must have shape \(5,\), one for each state, got \(4,\)"):
-        Recording(states, torques[1:], 0.1, torque="sampled")
-    with pytest.raises(ValueError, match="torque must be one of 'held', 'sampled', got 'linear'"):
-        Recording(states, torques[1:], 0.1, torque="linear")
+def test_samples_become_means_of_quarters_and_others_stay() -> None:
+    states, quarters, times = np.zeros((5, 12)), (np.arange(16) + 0.5).reshape(4, 4) / 4.0, np.arange(5.0)
+    line, parabola = 8.0 * times + 3.0, times**2
+    for kind in ("sampled", "linear"):
+        torques = Recording(states, line, 0.1, torque=kind).torques
+        np.testing.assert_allclose(np.asarray(torques), 8.0 * quarters + 3.0)
+        two = Recording(states[:2], line[:2], 0.1, torque=kind).torques
+        np.testing.assert_allclose(np.asarray(two), [[4.0, 6.0, 8.0, 10.0]])
+    exact = quarters**2 + 1.0 / (12.0 * 4.0**2)  # the mean of a square
+    inner = slice(1, 3)  # the slopes of the first and last sample are one-sided
+    torques = np.asarray(Recording(states, parabola, 0.1, torque="sampled").torques)
+    np.testing.assert_allclose(torques[inner], exact[inner])
+    np.testing.assert_allclose(torques.mean(axis=1)[inner], exact.mean(axis=1)[inner])
+    torques = np.asarray(Recording(states, parabola, 0.1, torque="linear").torques)
+    np.testing.assert_allclose(torques[:, 0], parabola[:-1] + np.diff(parabola) / 8.0)
+    for held in (line[1:], torques):  # a recording's own torques make another recording
+        np.testing.assert_array_equal(np.asarray(Recording(states, held, 0.1).torques), held)
 
 
-def test_samples_go_on_linearly_at_dropped_frames() -> None:
-    columns = {"time": [0.0, 0.1, 0.3, 0.4], "x_jack": [1.0] * 4, "torque": [3.0, 4.0, 6.0, 7.0]}
-    recording = Recording.from_frame(columns, START, torque="sampled")
-    np.testing.assert_allclose(np.asarray(recording.torques), [3.5, 4.5, 5.5, 6.5])
+@pytest.mark.parametrize(("kind", "shape"), [("held", (5,)), ("held", (4, 0)), ("held", (4, 1, 1)), ("linear", (4,))])
+def test_torques_of_another_shape_are_refused(kind: str, shape: tuple[int, ...]) -> None:
+    needed = r"\(4,\), one for each step" if kind == "held" else r"\(5,\), one for each state"
+    with pytest.raises(ValueError, match=rf"torques must have shape {needed}, got {re.escape(str(shape))}"):
+        Recording(np.zeros((5, 12)), np.zeros(shape), 0.1, torque=kind)
+    with pytest.raises(ValueError, match="torque must be one of 'held', 'sampled', 'linear', got 'square'"):
+        Recording(np.zeros((5, 12)), np.zeros(5), 0.1, torque="square")
+
+
+def test_samples_of_dropped_frames_are_on_the_curve() -> None:
+    rows = np.delete(np.arange(30), [4, 11, 12, 20])
+    columns = {"time": rows / RATE, "x_jack": np.ones(26), "torque": curve(rows / RATE)}
+    for kind in ("sampled", "linear"):
+        torques = Recording.from_frame(columns, START, torque=kind).torques
+        whole = Recording(np.zeros((30, 12)), curve(np.arange(30) / RATE), 1.0 / RATE, torque=kind).torques
+        np.testing.assert_allclose(np.asarray(torques), np.asarray(whole), atol=250.0)  # 3000 by a straight line
     with pytest.raises(ValueError, match="row 3, column torque: must be a number, got none"):
-        Recording.from_frame({**columns, "torque": [3.0, 4.0, 6.0, None]}, START, torque="sampled")
+        Recording.from_frame({**columns, "torque": [*[1.0] * 3, None, *[1.0] * 22]}, START, torque="sampled")
 
 
-def test_a_linear_torque_gives_the_mass_and_a_note_names_the_samples(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("kind", ["sampled", "linear"])
+def test_a_torque_that_changes_gives_the_mass_and_a_note_names_its_kind(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    states, samples = measured()
+    states, samples = measured(kind)
     monkeypatch.chdir(tmp_path)
     rows = np.column_stack([np.arange(len(states)) / RATE, states[:, :RATES], samples])
     header = ",".join(["time", *STATE_NAMES[:RATES], "torque"])
     np.savetxt("motor.csv", rows, delimiter=",", header=header)
-    for options, converged in ([], False), (["--torque-column", "sampled"], True):
+    for options, converged in ([], False), (["--torque-column", kind], True):
         monkeypatch.setattr(sys, "argv", ["jackbox fit", "motor.csv", *options])
         command.main()
         out, err = capsys.readouterr()
         assert ("Converged: the search ended" in out) == converged
         low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.einf+-]+) to ([\d.einf+-]+)", out)[0])
         assert (low < 4.6 < high < low + 0.2) == converged
-        assert ("The torques fit better as samples: --torque-column sampled.\n" in err) != converged
+        assert (f"The torques fit better with --torque-column {kind}.\n" in err) != converged
+
+
+def test_a_window_has_states_and_derivatives_at_its_rows() -> None:
+    recording = Recording(*measured("sampled"), 1.0 / RATE, torque="sampled")
+    parameters, start = Parameters(["jack_mass"], TRUE), 0.3 * np.eye(12)[5]
+    numbers = parameters.of(TRUE)
+
+    def moved(by: float) -> Motion:
+        found = motion(recording, Window(0, 2, 40, start=start + by * np.eye(12)[5]), parameters, numbers)
+        assert found is not None
+        return found
+
+    modelled = moved(0.0)
+    assert (modelled.smooth, modelled.states.shape, modelled.jacobians.shape) == (38, (39, 12), (39, 12, 13))
+    differences = (moved(1e-6).states - moved(-1e-6).states) / 2e-6
+    np.testing.assert_allclose(modelled.jacobians[:, :, 5], differences, atol=1e-5)
+
+
+def test_impacts_are_those_of_the_torques_in_a_step() -> None:
+    states, samples = measured("sampled")
+    recording = Recording(states, samples, 1.0 / RATE, torque="sampled")
+    fine = np.asarray(recording.torques).ravel()
+    motion = simulate(TRUE, [0.0] * 5 + [0.3] + [0.0] * 6, len(fine) / RATE / 4, torque=fine, dt=1.0 / RATE / 4)
+    np.testing.assert_allclose(impact_times(TRUE, recording, motion.states[::4]), motion.impacts["time"], atol=1e-9)
+
+
+def test_simulate_plays_the_torques_that_fit_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    states, samples = measured("sampled", 0.5)
+    rows = np.column_stack([np.arange(len(states)) / RATE, states[:, 3], samples])
+    np.savetxt("motor.csv", rows, delimiter=",", header="time,x_jack,torque")
+    for kind in ("sampled", "linear"):
+        options = ["--torque-column", kind, "--no-plots", "--format", "npz", "--folder", kind]
+        monkeypatch.setattr(sys, "argv", ["jackbox simulate", "--torque", "motor.csv", "--dt", str(1 / RATE), *options])
+        simulate_command.main()
+        played = np.load(Path(kind, "trajectory.npz"))
+        read = command.read_recording(Path("motor.csv"), START, torque=kind)
+        np.testing.assert_array_equal(played["torque"], np.asarray(read.torques).ravel())
+        np.testing.assert_allclose(played["time"], np.arange(61) / RATE / 4)
+    monkeypatch.setattr(sys, "argv", ["jackbox simulate", "--torque-column", "linear"])
+    with pytest.raises(SystemExit):
+        simulate_command.main()
+    assert "--torque-column goes with a FILE of --torque, got --torque chirp" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["jackbox fit", "still.csv", "--torque-column", "linear"])
+    np.savetxt("still.csv", rows[:, :2], delimiter=",", header="time,x_jack")
+    with pytest.raises(SystemExit):
+        command.main()
+    assert "--torque-column goes with a column torque, which no file has" in capsys.readouterr().err

@@ -155,7 +155,7 @@ class ExactBatch:
         placed: bool = False,
     ) -> Starts:
         """Seed generators, and draw scenes and starts for episodes to come."""
-        ensure_compiled()
+        ensure_compiled(self._present.scenes.lossy)
         self._settle()
         words, table = self._generators[numbers], self._present.scenes
         for index, seed in enumerate(seeds or ()):

@@ -19,6 +19,7 @@ from jackbox_env.simulators.exact import NO_PIECES, NO_TABLE, WITH_PIECES, drive
 AnyDrive = Chirp | Drive | None
 
 _FIELDS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)
+_RESTITUTION = SceneNumbers._fields.index("restitution")
 _COLUMNS = [SceneNumbers._fields.index(name) for name in _FIELDS]
 
 
@@ -48,6 +49,11 @@ class SceneTable:
         numbers = np.arange(count if several else shape[2])
         compiled(spread)(self.values, dt, self.scene_params, numbers)
         self._derive_kinds()
+
+    @property
+    def lossy(self) -> bool:
+        """Whether a restitution is below 1."""
+        return bool((self.values[:, _RESTITUTION] < 1.0).any())
 
     def _derive_kinds(self) -> None:
         kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]

@@ -11,6 +11,7 @@ from itertools import repeat
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
+from jackbox_env.exact.late import AGAIN, repaired
 from jackbox_env.exact.workspace import Call, Status
 from jackbox_env.model.states import Array
 from jackbox_env.tools import checks as check
@@ -57,9 +58,9 @@ def run_blocks(loop: Callable[..., Any], calls: list[Call], thread: int, low: in
         finished += now
         if recorded:
             logs.append(calls[thread].memory.log[:recorded].copy())
-        if ended == Status.FULL:
-            calls[thread] = calls[thread].with_room()
-        if ended not in (Status.PAUSED, Status.FULL) or halt.requested:
+        if ended in AGAIN:
+            calls[thread] = repaired(calls[thread], ended)
+        if not (ended == Status.PAUSED or ended in AGAIN) or halt.requested:
             return ended, number, step, finished, logs
         low, first = number, step  # it paused so that Python can handle an interruption
 
