@@ -202,7 +202,7 @@ class _Search:
         self._windows = [window for index, window in enumerate(self._windows) if index not in indices]
 
     def _resume(self) -> None:
-        """Take back windows that the model explains by now, from where the ones before them end or from their flights."""
+        """Take back windows that the model explains by now: from the ends of those before them, or from flights."""
         before = {(window.recording, window.last): window for window in self._windows}
         for window in sorted(self._left_out, key=lambda one: (one.recording, one.first)):
             previous, own = before.get((window.recording, window.first)), window.start

@@ -266,7 +266,7 @@ def test_a_fit_that_excluded_most_steps_has_not_converged() -> None:
     states[120:, 3:5] -= 0.5
     fitted = fit(Recording(states, np.where(np.arange(200) < 60, torques, -torques), DT), ("jack_mass",), START)
     assert fitted.left_out > 60
-    assert any("steps could not be followed" in problem for problem in fitted.problems)
+    assert any("that the scene does not explain" in problem for problem in fitted.problems)
 
 
 def test_a_fit_that_takes_most_of_a_recording_for_rest_has_not_converged() -> None:

@@ -16,9 +16,12 @@ from scipy import stats
 from scripts.studies import study
 from scripts.studies.fitting import camera
 from scripts.studies.fitting.measured import LABS, MEASURED, fitted
+from scripts.studies.fitting.people import WRONG, WRONGS, fitted_by_people
 from scripts.studies.pages import table
 
 HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
+STARTS = "start", "fits", "converged", HEADS[2], "farthest [standard deviations]", "time for 4 s"
+PEOPLE = (False, "", True), (True, "", False), *((False, wrong, False) for wrong in WRONGS)  # the last: of all files
 LENGTHS = "recording", "processor time", "memory", "width of the mass's interval", "converged and right", "left out"
 
 
@@ -36,6 +39,10 @@ class Arguments(study.Arguments):
     """How many of those are fitted with each wrong value, too."""
     files: int = 40
     """Files of a camera at each of two rates."""
+    people: int = 400
+    """Recordings of people, whose fits start far from the truth."""
+    others: int = 60
+    """How many of them are fitted from the true start, too, and with each wrong value."""
     lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
     """Of long recordings [s]."""
 
@@ -50,8 +57,13 @@ def trials(arguments: Arguments) -> study.Trials:
         for seed in range(count)
     ]
     files = [{"part": "files", "rate": rate, "count": arguments.files} for rate in (60.0, 30.0)]
+    people: study.Trials = [
+        {"part": "people", "seed": seed, "verdict": True, "true_start": true_start, "wrong": wrong}
+        for true_start, wrong, count in PEOPLE
+        for seed in range(arguments.people if count else arguments.others)
+    ]
     lengths = [{"part": "lengths", "seconds": seconds} for seconds in arguments.lengths]
-    return [*fits, *files, *lengths, {"part": "printed"}]
+    return [*fits, *files, *people, *lengths, {"part": "printed"}]
 
 
 def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -94,6 +106,24 @@ def labs_table(rows: list[dict[str, Any]]) -> str:
     return table(("in the fit", *HEADS), lines)
 
 
+def people_table(rows: list[dict[str, Any] | None]) -> str:
+    """The page's table of recordings as people make them; intervals are counted by file."""
+    lines = []
+    for true_start, wrong, _ in PEOPLE:
+        fits = [row for row in rows if row and (row["true_start"], row["wrong"]) == (true_start, wrong)]
+        good = [row for row in fits if row["converged"]]
+        shares = [statistics.fmean(row["contain"]) for row in good if row["contain"]]
+        cells, farthest = ["", ""], [abs(of) for row in good for of in row["deviations"].values()]
+        if shares and not wrong:
+            low, high = stats.binomtest(round(sum(shares)), len(shares)).proportion_ci()
+            cells = [f"{statistics.fmean(shares):.1%} ({low:.1%} to {high:.1%})", f"{max(farthest):.1f}"]
+        seconds = statistics.median(row["seconds"] / row["length"] for row in fits) if fits else 0.0
+        start = wrong or ("the true one" if true_start else "far away")
+        shown = [f"{start} {WRONG[wrong]:g}" if wrong in WRONG else start, str(len(fits)), str(len(good))]
+        lines.append([*shown, *cells, f"{4.0 * seconds:.1f} s"])
+    return table(STARTS, lines)
+
+
 def lengths_table(rows: list[dict[str, Any]]) -> str:
     """The page's table of long recordings."""
     lines = []
@@ -117,6 +147,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "columns": camera.COLUMNS,
         "lengths": lengths_table(record["lengths"]),
         "files": "\n\n".join(files),
+        "people": people_table(record["people"]),
         "fits": tables(record["fits"]),
         "labs": labs_table(record["fits"]),
     }
@@ -124,7 +155,13 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 STUDY = study.Study(
     "fitting",
-    {"fits": fitted, "files": camera.fitted_files, "lengths": camera.fitted_alone, "printed": camera.printed},
+    {
+        "fits": fitted,
+        "files": camera.fitted_files,
+        "people": fitted_by_people,
+        "lengths": camera.fitted_alone,
+        "printed": camera.printed,
+    },
     filled,
     Arguments,
     trials,

@@ -18,6 +18,9 @@ from scripts.studies.fitting.measured import followed, thrown
 
 RATES_OF_CAMERAS = (30.0, 60.0, 120.0, 240.0)  # frames a second
 _FALL = 8.0  # frames in the fall of half a width, at least
+WRONG = {"gravity": 1.01, "jack_arm": 1.01, "box_half_width": 1.01}  # in the start of a fit, times the true value
+LATE = "torques 5 ms late"
+WRONGS = *WRONG, "torques 3 % too large", LATE
 _LARGE = 1.0  # [m] half width, above which a table is not tilted
 
 
@@ -77,21 +80,43 @@ def recorded_by_people(seed: int, verdict: bool) -> tuple[Scene, Scene, tuple[st
     return scene, scene.changed(**wrong, restitution=1.0), fields, Recording(rows, torques, 1.0 / rate)
 
 
-def fitted_by_people(seed: int, verdict: bool, true_start: bool) -> dict[str, Any]:
-    """One fit: whether it converged, how far each field is from the truth in standard deviations, and its problems."""
+def spoilt_by(wrong: str, start: Scene, recording: Recording) -> tuple[Scene, Recording] | None:
+    """The start with a wrong field, or the recording with wrong torques; None if no torque acts that could be wrong."""
+    if not wrong:
+        return start, recording
+    if wrong in WRONG:
+        return start.changed(**{wrong: WRONG[wrong] * getattr(start, wrong)}), recording
+    torques = np.asarray(recording.torques)
+    if not torques.any():
+        return None
+    changed = 1.03 * torques
+    if wrong == LATE:
+        moments, turned = np.arange(len(torques) + 1.0), np.append(0.0, np.cumsum(torques))
+        changed = np.diff(np.interp(moments - 0.005 / recording.dt, moments, turned))
+    return start, Recording(recording.states, changed, recording.dt)
+
+
+def fitted_by_people(seed: int, verdict: bool, true_start: bool, wrong: str = "") -> dict[str, Any] | None:
+    """One fit: whether it converged, how far each field is from the truth in standard deviations, and its problems.
+
+    ``wrong``: what else is wrong, one of ``WRONGS``; None if that cannot be.
+    """
     scene, start, fields, recording = recorded_by_people(seed, verdict)
+    spoilt_start = spoilt_by(wrong, scene if true_start else start, recording)
+    if spoilt_start is None:
+        return None
     began = time.process_time()
     try:
-        estimate = fit(recording, fields, scene if true_start else start)
+        estimate = fit(spoilt_start[1], fields, spoilt_start[0])
     except ValueError as error:  # no motion could be followed
         estimate = Fit(start, {}, np.zeros(0), (), problems=(str(error),))
     seconds, deviations = time.process_time() - began, dict[str, float]()
     for name, (low, high) in estimate.intervals.items():
         if np.isfinite(high) and (low, high) != (0.0, 1.0):
             deviations[name] = 3.92 * (getattr(estimate.scene, name) - getattr(scene, name)) / max(high - low, 1e-300)
-    contains = all(low <= getattr(scene, name) <= high for name, (low, high) in estimate.intervals.items())
+    contain = [low <= getattr(scene, name) <= high for name, (low, high) in estimate.intervals.items()]
     return {
-        "seed": seed, "verdict": verdict, "true_start": true_start, "seconds": seconds, "contains": contains,
-        "length": len(recording.states) * recording.dt, "converged": bool(estimate.converged),
+        "seed": seed, "verdict": verdict, "true_start": true_start, "wrong": wrong, "seconds": seconds,
+        "contain": contain, "length": len(recording.states) * recording.dt, "converged": bool(estimate.converged),
         "problems": estimate.problems, "deviations": deviations, "left_out": estimate.left_out,
     }  # fmt: skip
