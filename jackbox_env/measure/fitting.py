@@ -57,7 +57,8 @@ except ImportError as error:
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
-_LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5)  # from loose to tight, over the smallest noise
+_LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4)  # from loose to tight, over the smallest noise
+_FIRST_SLACKS = 0.3, 0.1, 0.03, 0.01  # before windows are added that follow
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
@@ -164,10 +165,14 @@ class _Search:
         self._leave_out_bad_rows()
         self._without_misfits(_LINK_SLACKS[0], len(self._windows))
         self._resume()
+        for slack in _FIRST_SLACKS:
+            self._settle(slack)
+        self._resume()
+        self._go_on()
+        self._settle(_LINK_SLACKS[0])
+        self._without_misfits(_LINK_SLACKS[0], len(self._windows))
         self._fewest = len(self._windows) - max(_MAY_DROP, math.floor(_MOST_DROPPED * len(self._windows)))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
-            if slack == _LINK_SLACKS[-1]:
-                self._resume()
             ended = self._settle(slack)
             if self._without_misfits(slack, len(self._windows) - self._fewest):
                 ended = self._settle(slack)
@@ -217,6 +222,30 @@ class _Search:
                 self._left_out.remove(window)
                 self._windows.append(window)
                 before[window.recording, window.last] = window
+        self._windows.sort(key=lambda one: (one.recording, one.first))
+        self._link()
+
+    def _go_on(self) -> None:
+        """Follow the jack from where windows end that nothing is linked to, until it rests or the model fails."""
+        for window in [one for one in self._windows if not one.linked and self._flights[one.recording] is not None]:
+            recording, number = self._recordings[window.recording], window.recording
+            until = min(
+                (one.first for one in self._windows if one.recording == number and one.first >= window.last),
+                default=len(recording.states) - 1,
+            )
+            chain = [window]
+            while chain[-1].last < until:
+                end = end_state(recording, chain[-1], self._parameters, self._numbers)
+                new = next_window(recording, number, chain[-1].last, end, self._parameters, self._numbers)
+                if new is None:
+                    break
+                chain[-1].linked, new.last = True, min(new.last, until)
+                chain.append(new)
+                if not self._fit_block(chain[-self._block :], free=False):
+                    del chain[-1]
+                    chain[-1].linked = False
+                    break
+            self._windows += chain[1:]
         self._windows.sort(key=lambda one: (one.recording, one.first))
         self._link()
 

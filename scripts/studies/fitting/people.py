@@ -34,7 +34,7 @@ def scene_of_people(rng: np.random.Generator) -> Scene:
     return Scene(
         gravity=gravity, box_half_width=length, box_mass=mass, box_inertia=mass * length**2 * rng.uniform(0.5, 1.0),
         jack_mass=jack_mass, jack_arm=arm, restitution=rng.uniform(0.5, 0.98), drive=None,
-        jack_inertia=jack_mass * arm**2 * rng.uniform(0.3, 1.0) if rng.random() < 0.5 else None,
+        jack_inertia=jack_mass * arm**2 * rng.uniform(0.3, 1.0) if rng.random() < 0.5 else None,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
