@@ -18,11 +18,13 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.envs.decisions import ControlStep, added, decide
+from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
 from jackbox_env.envs.settings import Settings
 from jackbox_env.model import tasks
 from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
-from jackbox_env.model.observation import Observation, observation_of
+from jackbox_env.model.observation import Observation, seen_of
+from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, Array, as_start
@@ -30,7 +32,7 @@ from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
 
-Seen = NDArray[np.float32]
+Seen = NDArray[Any]  # float32, or uint8 pictures
 AnyAction = NDArray[Any] | float | None
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
@@ -212,7 +214,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
-        observation: str | Observation = "state",
+        observation: str | Observation | Pixels = "state",
         action: str | Action = "torque",
         action_repeat: Repeats = 1,
         episode_steps: int | None = None,
@@ -233,7 +235,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             "render_mode": render_mode, "render_size": size, "render_overlay": overlay,
         }  # fmt: skip
         self._dt, self._driven = dt, torque == "chirp"
-        self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
+        numbers, pixels = seen_of(observation)
+        self.nouns = nouns = Nouns(tasks.task_of(task), numbers, action_of(action), pixels)
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
         self._most: float = self.repeat.steps
@@ -244,11 +247,12 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in nouns.task.terms]
-        self.observation_space = gym.spaces.Box(*nouns.observation.bounds, dtype=np.float32)
+        self.observation_space = nouns.space
         self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer, self._frames = None, list[NDArray[np.uint8]]()
+        self._past: Past | None = None  # of the pictures that are observed
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps = list[ControlStep]()  # of the last decision, for recordings
@@ -257,7 +261,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
             name = task if isinstance(task, str) else ", ".join(nouns.task.terms)
             self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)
-            self._start_picture()
+        self._start_pictures()
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
@@ -291,7 +295,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     @property
     def observation(self) -> Seen:
-        """The observation of the present state: a fresh float32 array."""
+        """The observation of the present state: a fresh array."""
+        if self._past is not None:
+            return self._past.observed(self.scene)
         return self._parts[1].observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
@@ -304,7 +310,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         """
         self._simulator.reset(state, time)
         self._started, self._impacts = True, None
-        self._start_picture()
+        self._start_pictures()
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -336,6 +342,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._np_random = generator
         parts[0].reset(state, time)
         self._adopt(parts)
+        if self._past is not None:
+            observation = self._past.observed(self.scene)
         if self.render_mode == "human":
             self.render()
         none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
@@ -355,7 +363,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
-        self._start_picture()
+        self._start_pictures()
 
     def step(self, action: AnyAction) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
         """Make a decision: one or several control steps under ``action``, or under the scene's drive if it is None.
@@ -395,6 +403,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if len(parts) > 1:
             whole = added(parts)
             self._impacts = whole.impacts
+        if self._past is not None:
+            self._past = self._past.after(parts)
+            whole = whole._replace(seen=self._past.observed(self.scene))
         return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, len(parts))
 
     def _show(self, parts: list[ControlStep]) -> None:
@@ -465,7 +476,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         names = self._randomize.names if self._randomize else []
         return {"scene": {name: getattr(self.scene, name) for name in names}} if names else {}
 
-    def _start_picture(self) -> None:
+    def _start_pictures(self) -> None:
+        if self.nouns.pixels is not None:
+            self._past = Past.at(self.nouns.pixels, self._simulator.state)
         if self._renderer is not None:
             self._renderer.reset(self._simulator.state, self._simulator.time)
         if self._renderer is not None and self.render_mode == "rgb_array_list":
@@ -485,12 +498,12 @@ def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float, steps: int) 
 def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
     """An environment's state, last step and picture now, for :func:`go_back`."""
     picture = None if env._renderer is None else env._renderer.snapshot()
-    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, picture
+    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, env._past, picture
 
 
 def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
     """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
-    env._parts, present, env.elapsed_steps, env._impacts, picture = to
+    env._parts, present, env.elapsed_steps, env._impacts, env._past, picture = to
     env._parts[0].restore(present)
     if env._renderer is not None:
         env._renderer.restore(picture)
