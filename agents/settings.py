@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, make_dataclass
@@ -15,7 +16,8 @@ from agents.user_code import is_object, loaded
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.model.action import ACTIONS, repeat_of
-from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.observation import OBSERVATIONS, seen_of
+from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, chosen, explicit, resolve
@@ -24,12 +26,16 @@ from jackbox_env.tools import checks as check
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro
 
-NAMES: dict[str, Collection[str]] = {"task": TASKS, "observation": OBSERVATIONS, "action": ACTIONS}  # built-in ones
+NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
+    "task": TASKS, "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS,
+}  # fmt: skip
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
+_FEATURES = 512  # of a picture, that Stable-Baselines3's convolutions pass on to the layers
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
 MOST_STEPS = 10**12  # also of episodes and samples
 MOST_ROLLOUT_SAMPLES = 5_000_000  # between updates
+MOST_ROLLOUT_BYTES = 10**10  # of pictures between updates
 MOST_LAYERS = 32
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
@@ -97,8 +103,10 @@ class EnvSettings:
         resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
         for name in NAMES:
-            if hasattr(self, name) and name not in self.objects:
-                check.choice(name, getattr(self, name), [*NAMES[name], "file.py:name"])
+            value = getattr(self, name, None)
+            sized = name == "observation" and isinstance(value, str) and pixels_named(value) is not None
+            if not (value is None or sized or name in self.objects):
+                check.choice(name, value, [*NAMES[name], "file.py:name"])
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -265,6 +273,11 @@ class TrainSettings(EnvSettings):
         return {**super().env_settings, **self.nouns}
 
     @property
+    def pixels(self) -> Pixels | None:
+        """The pictures that the networks observe; None: they observe numbers. Raises as ``env_settings``."""
+        return seen_of(self.nouns["observation"])[1]
+
+    @property
     def nouns(self) -> dict[str, Any]:
         """The keywords ``observation``, ``action`` and ``action_repeat``; raises as ``env_settings``."""
         return with_objects({name: getattr(self, name) for name in NOUNS})
@@ -303,7 +316,14 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"num_envs * rollout_steps must be at most {MOST_ROLLOUT_SAMPLES:,}, got {samples:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        inputs = len(OBSERVATIONS[self.observation].names) if "observation" not in self.objects else 1
+        inputs = 1
+        if "observation" not in self.objects:
+            inputs = _FEATURES if self.pixels else len(OBSERVATIONS[self.observation].names)
+            size = samples * math.prod(self.pixels.shape) if self.pixels else 0
+            if size > MOST_ROLLOUT_BYTES:
+                raise ValueError(
+                    f"num_envs * rollout_steps pictures must have at most {MOST_ROLLOUT_BYTES:,} bytes, got {size:,}"
+                )
         weights = sum(before * after for before, after in pairwise((inputs, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(
