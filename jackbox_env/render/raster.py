@@ -8,7 +8,7 @@ exact, and nothing is summed in another order: a frame has the same bits on ever
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.geometry import cos_sin, quarter
 from jackbox_env.exact.workspace import make_numbers
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.states import RATES, Array
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import Array
 
 Frames = NDArray[np.uint8]  # (n, height, width, channels)
 
@@ -56,11 +57,10 @@ def draw_pixels(pixels: Pixels, values: Array, poses: Array, frames: Frames) -> 
     compiled(draw)(frames, np.ascontiguousarray(poses), values, view, _GREYS)
 
 
-def draw_colours(frame: Frames, state: Any, values: Array, centre: complex, colours: Array) -> None:
-    """Draw box and jack of one state over a frame, shape (h, w, 3), in colours by the rows above, shape (5, 3)."""
-    view = view_of((frame.shape[1], frame.shape[0]), centre)
-    poses = np.array(state[:RATES], dtype=np.float64).reshape(1, 1, RATES)
-    compiled(draw)(frame[None], poses, values, view, colours)
+def draw_colours(frame: Frames, pose: Sequence[float], scene: Scene, centre: complex, colours: Array) -> None:
+    """Draw box and jack over a frame, shape (h, w, 3), in colours by the rows above, shape (5, 3)."""
+    view, poses = view_of((frame.shape[1], frame.shape[0]), centre), np.array(pose).reshape(1, 1, -1)
+    compiled(draw)(frame[None], poses, np.array([scene.numbers]), view, colours)
 
 
 def draw(frames: Frames, poses: Array, values: Array, view: Array, shades: Array) -> None:
