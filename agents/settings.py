@@ -103,10 +103,8 @@ class EnvSettings:
         resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
         for name in NAMES:
-            value = getattr(self, name, None)
-            sized = name == "observation" and isinstance(value, str) and pixels_named(value) is not None
-            if not (value is None or sized or name in self.objects):
-                check.choice(name, value, [*NAMES[name], "file.py:name"])
+            if hasattr(self, name) and name not in self.objects and not self._has_sizes(name):
+                check.choice(name, getattr(self, name), [*NAMES[name], "file.py:name"])
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -139,6 +137,11 @@ class EnvSettings:
             ValueError: it is not a JSON object.
         """
         return check.from_json("randomize", self.randomize, dict)
+
+    def _has_sizes(self, name: str) -> bool:
+        """Whether a setting is a name of pictures with their size, which is checked."""
+        value = getattr(self, name)
+        return name == "observation" and isinstance(value, str) and pixels_named(value) is not None
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -187,6 +190,10 @@ _REPEATED: dict[str, Any] = {
     "action_repeat": 20, "total_steps": 2_000_000, "num_envs": 256, "rollout_steps": 32, "learning_rate": 1e-3,
     "gamma": 0.905, "initial_log_std": -0.7, "checkpoint_steps": 500_000, "eval_steps": 250_000,
 }  # fmt: skip
+_PICTURES: dict[str, Any] = {  # of landings
+    **_REPEATED, "num_envs": 256, "rollout_steps": 16, "batch_size": 512, "epochs": 3, "learning_rate": 5e-4,
+    "initial_log_std": -2.0, "total_steps": 1_500_000,
+}
 _TORQUES: dict[str, Any] = {
     **_REPEATED, "action": "torque", "action_repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5,
     "gamma": 0.99, "hidden_units": (128, 128),
@@ -229,7 +236,10 @@ class TrainSettings(EnvSettings):
     initial_log_std: float = -1.0
     """Initial logarithm of the actions' standard deviation."""
     observation: str = "landing"
-    """What the networks observe: state (ten numbers), landing (21, with the next landing), or your file.py:name."""
+    (
+        "What the networks observe: state (ten numbers), landing (21, with the next landing), pixels (or "
+        "pixels-48x48x4: width, height and number of pictures), or your file.py:name."
+    )
     action: str = "landing"
     (
         "What they choose: torque, discrete (-1, 0 or 1 of its limit), landing (the box's angle and rate then), or "
@@ -251,11 +261,13 @@ class TrainSettings(EnvSettings):
         """Complete ``settings`` with the defaults that train best on their task with their kind of actions.
 
         Actions are landings on juggle, else torques. Landings last until the next impact, unless ``action_repeat`` is
-        a number.
+        a number, or pictures are observed: at an impact these do not show the velocities after it.
         """
         action = settings.setdefault("action", "landing" if settings.get("task", cls.task) == "juggle" else "torque")
-        by_bounce = settings.get("action_repeat", "bounce" if action == "landing" else None) == "bounce"
-        return cls(**({} if by_bounce else _REPEATED if action == "landing" else _TORQUES) | settings)
+        pictures = str(settings.get("observation", "")).startswith("pixels")
+        by_bounce = settings.get("action_repeat", None if pictures or action != "landing" else "bounce") == "bounce"
+        repeated = (_PICTURES if pictures else _REPEATED) if action == "landing" else _TORQUES
+        return cls(**({} if by_bounce else repeated) | settings)
 
     @classmethod
     def of(cls, values: Any) -> Self:

@@ -12,16 +12,16 @@ from jackbox_env.sb3 import JackInBoxVecEnv
 
 
 class TimedEnvironments(JackInBoxVecEnv):
-    """Environments that add up how long their steps take: ``seconds``."""
+    """Environments that add up how long their steps take: ``seconds``; their rewards are multiplied by ``scale``."""
 
-    seconds = 0.0
+    seconds, scale = 0.0, 1.0
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step."""
         began = time.perf_counter()
-        result = super().step_wait()
+        observations, rewards, dones, infos = super().step_wait()
         self.seconds += time.perf_counter() - began
-        return result
+        return observations, rewards if self.scale == 1.0 else self.scale * rewards, dones, infos
 
 
 class TrainingTimer(BaseCallback):
