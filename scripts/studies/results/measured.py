@@ -45,7 +45,7 @@ STARTS = 32
 SEEDS = (0, 1, 2, 3, 4)  # of trainings
 BARE_STEPS = 2_000_000  # control steps of a bare training
 PIXELS = "pixel ppo"  # PPO on pictures of juggle
-PICTURES = TrainSettings.suited(observation="pixels-40x40x4")
+PICTURES = TrainSettings.suited(observation="pixels-48x48x4")
 
 # Scenes that two trainings are tried in: the shipped one on the default scene, and one on scenes that vary.
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
