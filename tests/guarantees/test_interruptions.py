@@ -32,10 +32,10 @@ INTERRUPTS = int(os.environ.get("JACKBOX_INTERRUPTS", "500"))
 ACTIONS = np.array([-0.5, 0.3, 1.0])
 
 
-def made(contact: str = "exact", num_envs: int = 3) -> JackInBoxVectorEnv:
+def made(contact: str = "exact", num_envs: int = 3, **settings: Any) -> JackInBoxVectorEnv:
     """Environments of which every step ends the episode and draws another scene."""
-    randomize = {"gravity": (1.0, 9.0)}
-    env = JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, randomize=randomize)
+    settings["randomize"] = {"gravity": (1.0, 9.0)}
+    env = JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, **settings)
     env.reset(seed=0)
     return env
 
