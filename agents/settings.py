@@ -191,8 +191,14 @@ _REPEATED: dict[str, Any] = {
     "gamma": 0.905, "initial_log_std": -0.7, "checkpoint_steps": 500_000, "eval_steps": 250_000,
 }  # fmt: skip
 _PICTURES: dict[str, Any] = {  # of landings
-    **_REPEATED, "num_envs": 256, "rollout_steps": 16, "batch_size": 512, "epochs": 3, "learning_rate": 5e-4,
-    "initial_log_std": -2.0, "total_steps": 1_500_000,
+    **_REPEATED,
+    "num_envs": 256,
+    "rollout_steps": 16,
+    "batch_size": 512,
+    "epochs": 3,
+    "learning_rate": 5e-4,
+    "initial_log_std": -2.0,
+    "total_steps": 1_500_000,
 }
 _TORQUES: dict[str, Any] = {
     **_REPEATED, "action": "torque", "action_repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5,

@@ -33,6 +33,6 @@ class Past(NamedTuple):
 
     def observed(self, scene: Scene) -> NDArray[np.uint8]:
         """The pictures: a fresh array."""
-        frames = np.empty((1, *self.pixels.shape), np.uint8)
-        draw_pixels(self.pixels, np.array([scene.numbers]), self.poses[None], frames)
-        return frames[0]
+        frames = np.empty(self.pixels.shape, np.uint8)
+        draw_pixels(self.pixels, np.array([scene.numbers]), self.poses[None], frames[None])
+        return frames

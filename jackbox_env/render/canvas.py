@@ -1,7 +1,8 @@
 """A frame's surface and the marks on it, for the renderer.
 
-Edges are smooth: those of bands are anti-aliased lines, and discs are images that were scaled down once. Points are complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left,
-where pixel (i, j) has its centre at i + j * 1j.
+Edges are smooth: those of bands are anti-aliased lines, and discs are images that were scaled down once. Points are
+complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left, where pixel (i, j) has its
+centre at i + j * 1j.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
@@ -119,8 +120,8 @@ class Canvas:
 
     def band(self, start: complex, end: complex, width: float, colour: Colour) -> None:
         """Draw a band of some width [px] with square ends."""
-        # An edge is a line of 1 px, with its middle half a pixel within the band. Another one beside it closes the gap to
-        # what is between, whose corners are rounded to pixels.
+        # An edge is a line of 1 px, with its middle half a pixel within the band. The polygon between edges is rounded
+        # to pixels; of a wide band a second line at each edge closes the gap.
         along = (end - start) / abs(end - start)
         start, end, inner = start + 0.5 * along, end - 0.5 * along, 0.5j * along * (width - 2.0)
         if width > 2.0:
@@ -156,4 +157,4 @@ def _disc(radius: int, colour: Colour, right: int, down: int) -> pygame.Surface:
     large.fill((*colour, 0))
     centre = 8 * reach + 4 + 2 * right, 8 * reach + 4 + 2 * down
     pygame.draw.circle(large, colour, centre, max(1, radius // 2))
-    return pygame.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1))
+    return cast("pygame.Surface", pygame.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1)))

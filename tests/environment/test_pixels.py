@@ -52,7 +52,8 @@ def sampled(pose: tuple[float, ...], size: tuple[int, int], scene: Scene) -> Pic
         picture[(abs(along) < arm) & (abs(across) < 0.5 * radius)] = 90.0
     for foot, shade in ((3, 160.0), (2, 160.0), (1, 160.0), (0, 255.0)):
         picture[abs(on_jack - arm * 1j**foot) < radius] = shade
-    return picture.reshape(size[1], FINER, size[0], FINER).mean(axis=(1, 3))
+    whole: Picture = picture.reshape(size[1], FINER, size[0], FINER).mean(axis=(1, 3))
+    return whole
 
 
 @pytest.mark.parametrize("size", [(84, 84), (60, 90), (200, 128)])

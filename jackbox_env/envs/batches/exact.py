@@ -268,9 +268,7 @@ class ExactBatch:
         present = self._present
         self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.pasts)
 
-    def _observe(
-        self, rows: Array, blocks: Array, numbers: Indices, observations: Any, pasts: Pasts | None
-    ) -> None:
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, pasts: Pasts | None) -> None:
         """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
         if pasts is not None:
             pasts.draw(rows, numbers, observations, self._threads)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class Pasts(NamedTuple):
         last = made.astype(np.int64)[:, None] + np.arange(self.pixels.stack)
         return self._replace(poses=np.take_along_axis(poses, last[..., None], axis=1))
 
-    def draw(self, rows: Array, numbers: Indices, frames: NDArray[np.uint8], threads: Threads) -> None:
+    def draw(self, rows: Array, numbers: Indices, frames: NDArray[Any], threads: Threads) -> None:
         """Draw the pictures of some environments, whose scenes have these ``rows`` of numbers, into their frames."""
         size, halt = max(1, _PIXELS // int(np.prod(self.pixels.shape))), Halt()
         whole = len(numbers) == len(frames)  # all of them, in order

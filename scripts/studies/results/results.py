@@ -193,7 +193,10 @@ def draw(record: study.Record, folder: Path) -> None:
 STUDY = study.Study(
     "results",
     {
-        "learning": these.learning, "rows": these.policy_row, "across": these.in_scene, "pixels": these.of_pixels,
+        "learning": these.learning,
+        "rows": these.policy_row,
+        "across": these.in_scene,
+        "pixels": these.of_pixels,
         "spin_bound": these.spin_bound,
     },
     filled,
