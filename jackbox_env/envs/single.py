@@ -89,7 +89,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     ## Observation Space
 
     `observation` selects it: `"state"` (default), the ten numbers below; `"landing"`, these and the eleven of
-    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; or a `jackbox_env.Observation` of your own.
+    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; `"pixels"` or a `jackbox_env.Pixels`, below;
+    or a `jackbox_env.Observation` of your own.
 
     `"state"` is a `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and
     the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
@@ -108,6 +109,10 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
 
     (*) on the axes of the box; the box's own rotation is not subtracted.
+
+    `"pixels"` is a `Box` of shape (84, 84, 1), uint8: a grey picture of box and jack, whose camera follows the box.
+    `jackbox_env.Pixels(size=(64, 64), stack=4)`, or `"pixels-64x64x4"`, has another size and, in channels, the pictures
+    of the last four control steps. They are drawn from the state by compiled code, with the same bits on every machine.
 
     ## Rewards
 
@@ -147,7 +152,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
     | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
     | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
-    | `observation`    | `"state"`    | the name of one under Observation Space, or a `jackbox_env.Observation`        |
+    | `observation`    | `"state"`    | a name under Observation Space, a `jackbox_env.Observation` or `Pixels`        |
     | `action`         | `"torque"`   | the name of one under Action Space, or a `jackbox_env.Action`                  |
     | `action_repeat`  | `1`          | control steps of an action, or `"bounce"`                                      |
     | `episode_steps`  | `None`       | control steps of an episode; None: 500 if actions are repeated, else no limit  |
@@ -156,7 +161,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
     | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
-    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
+    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone; below 400 it is faster   |
 
     `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
     up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any

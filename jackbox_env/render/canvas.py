@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
@@ -151,10 +151,10 @@ class Canvas:
 @lru_cache(maxsize=4096)
 def _disc(radius: int, colour: Colour, right: int, down: int) -> pygame.Surface:
     """A disc of a radius in sixteenths of a pixel, its centre so many quarters of a pixel off that of the image."""
-    pygame = import_pygame()
-    reach = radius // 16 + 2
-    large = pygame.Surface((8 * (2 * reach + 1), 8 * (2 * reach + 1)), pygame.SRCALPHA)
+    game, reach = import_pygame(), radius // 16 + 2
+    large = game.Surface((8 * (2 * reach + 1), 8 * (2 * reach + 1)), game.SRCALPHA)
     large.fill((*colour, 0))
     centre = 8 * reach + 4 + 2 * right, 8 * reach + 4 + 2 * down
-    pygame.draw.circle(large, colour, centre, max(1, radius // 2))
-    return cast("pygame.Surface", pygame.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1)))
+    game.draw.circle(large, colour, centre, max(1, radius // 2))
+    image: pygame.Surface = game.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1))
+    return image

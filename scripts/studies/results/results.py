@@ -81,7 +81,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "resamples": these.RESAMPLES,
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
         "rows": {task: _table([row for row in rows if row["task"] == task]) for task in TRAINED},
-        "pixels": {**vars(these.PICTURES), "minutes": record["pixels"][0]["seconds"] / 60.0},
+        "pixels": {**vars(these.PICTURES), "minutes": record["pixels"][0]["processor_seconds"] / 60.0},
         "tried": len(these.chirps()),
         "upright": these.best_upright(),
         "bare_steps": these.BARE_STEPS,
