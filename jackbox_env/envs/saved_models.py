@@ -169,11 +169,9 @@ def _storable_value(name: str, value: Any) -> Any:
         default = Scene().as_dict()
         fields = Scene.of(value).as_dict().items()
         return {field: number for field, number in fields if field not in default or number != default[field]}
-    if isinstance(value, Pixels):
-        return value.name
     if name == "scene" or callable(value) or isinstance(value, tuple(_BUILTIN)):
         return _name_of(value)
-    return value
+    return value.name if isinstance(value, Pixels) else value
 
 
 def _name_of(value: Any) -> str | None:

@@ -64,15 +64,13 @@ class Nouns(NamedTuple):
     @property
     def space(self) -> gym.spaces.Box:
         """Of the observations."""
-        if self.pixels is not None:
-            return gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
-        return gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
+        pictures = self.pixels and gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
+        return pictures or gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
 
     def unfilled(self, count: int) -> Seen:
         """Memory for so many observations."""
-        if self.pixels is not None:
-            return np.empty((count, *self.pixels.shape), np.uint8)
-        return np.empty((count, len(self.observation.names)), dtype=np.float32)
+        one, kind = (self.pixels.shape, np.uint8) if self.pixels else ((len(self.observation.names),), np.float32)
+        return np.empty((count, *one), dtype=kind)
 
 
 class PlainFunctions:

@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
+from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.decisions import ControlStep, added, decide
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
@@ -27,7 +28,7 @@ from jackbox_env.model.observation import Observation, seen_of
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, Array, as_start
+from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
@@ -302,7 +303,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     def observation(self) -> Seen:
         """The observation of the present state: a fresh array."""
         if self._past is not None:
-            return self._past.observed(self.scene)
+            return self._pictures(self._past)
         return self._parts[1].observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
@@ -347,8 +348,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._np_random = generator
         parts[0].reset(state, time)
         self._adopt(parts)
-        if self._past is not None:
-            observation = self._past.observed(self.scene)
+        observation = observation if self._past is None else self._pictures(self._past)
         if self.render_mode == "human":
             self.render()
         none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
@@ -409,8 +409,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             whole = added(parts)
             self._impacts = whole.impacts
         if self._past is not None:
-            self._past = self._past.after(parts)
-            whole = whole._replace(seen=self._past.observed(self.scene))
+            self._past = self._past.after(np.array([[part.state for part in parts]]), np.array([len(parts)]))
+            whole = whole._replace(seen=self._pictures(self._past))
         return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, len(parts))
 
     def _show(self, parts: list[ControlStep]) -> None:
@@ -481,9 +481,14 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         names = self._randomize.names if self._randomize else []
         return {"scene": {name: getattr(self.scene, name) for name in names}} if names else {}
 
+    def _pictures(self, past: Past) -> Seen:
+        frames = past.draw(np.array([self.scene.numbers]), np.zeros(1, np.int64), self.nouns.unfilled(1), Threads(1))
+        return frames[0]  # type: ignore[no-any-return]
+
     def _start_pictures(self) -> None:
         if self.nouns.pixels is not None:
-            self._past = Past.at(self.nouns.pixels, self._simulator.state)
+            poses = np.tile(self._simulator.state[:RATES], (1, self.nouns.pixels.stack, 1))
+            self._past = Past(self.nouns.pixels, poses)
         if self._renderer is not None:
             self._renderer.reset(self._simulator.state, self._simulator.time)
         if self._renderer is not None and self.render_mode == "rgb_array_list":

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from jackbox_env.tools import checks as check
 
-LEAST, MOST = 16, 4096  # [px] sides of a frame
 _NAME = re.compile(r"pixels-(\d{1,6})x(\d{1,6})x(\d{1,6})", re.ASCII)
 
 
@@ -37,10 +36,11 @@ class Pixels:
 
     def __post_init__(self) -> None:
         """Check both."""
-        size = check.size("size of Pixels", self.size, at_least=LEAST, at_most=MOST)
-        object.__setattr__(self, "size", size)
-        stack = check.whole("stack of Pixels, below the smaller side,", self.stack, at_least=1, at_most=min(size) - 1)
-        object.__setattr__(self, "stack", stack)
+        object.__setattr__(self, "size", check.size("size of Pixels", self.size, at_least=16, at_most=4096))
+        object.__setattr__(
+            self, "stack",
+            check.whole("stack of Pixels, below the smaller side,", self.stack, at_least=1, at_most=min(self.size) - 1),
+        )  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -59,10 +59,8 @@ def pixels_named(name: str) -> Pixels | None:
     Raises:
         ValueError: a number out of its range.
     """
-    if name == "pixels":
-        return Pixels()
     numbers = _NAME.fullmatch(name)
     if numbers is None:
-        return None
+        return Pixels() if name == "pixels" else None
     width, height, stack = map(int, numbers.groups())
     return Pixels((width, height), stack)

@@ -17,6 +17,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Pixels, Scene
+from jackbox_env.envs.batches.threads import Threads
+from jackbox_env.envs.past import Past
 from jackbox_env.render import raster
 from jackbox_env.sb3 import make_sb3_vec_env
 from tests.batches.several import EVERY_MODEL
@@ -103,8 +105,8 @@ def test_a_picture_determines_the_jacks_pose_and_the_boxs_angle(pose: tuple[floa
 def drawn(scene: Scene, states: list[Any], size: tuple[int, int]) -> Picture:
     """Pictures of states one by one, side by side in channels."""
     frames = np.empty((len(states), size[1], size[0], 1), np.uint8)
-    poses = np.array(states)[:, None, :6]
-    raster.draw_pixels(Pixels(size), np.array([scene.numbers]), poses, frames)
+    past = Past(Pixels(size), np.array(states)[:, None, :6])
+    past.draw(np.array([scene.numbers]), np.arange(len(states)), frames, Threads(1))
     return np.moveaxis(frames[..., 0], 0, -1)
 
 

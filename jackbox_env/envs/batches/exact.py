@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.envs.batches.pasts import Pasts
 from jackbox_env.envs.batches.scenes import SceneTable
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
 from jackbox_env.exact import restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
@@ -22,7 +22,7 @@ from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
 from jackbox_env.model.observation import STATE, bad_observation
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, Flags, Floats, Indices
+from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
@@ -39,7 +39,7 @@ class Present(NamedTuple):
     scenes: SceneTable
     last: tuple[Array, Array | None] | None = None  # blocks before the last step, and its actions
     starts: Starts | None = None  # the last ones, until generators and scenes have them
-    pasts: Pasts | None = None  # what pictures show, if those are observed
+    past: Past | None = None  # what pictures show, if those are observed
 
 
 class ExactBatch:
@@ -79,12 +79,12 @@ class ExactBatch:
         width = min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
         self._count, blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
-        pasts = None if nouns.pixels is None else Pasts.of(nouns.pixels, num_envs)
-        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), pasts=pasts)
+        past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
+        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
         by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
-        ranges = len(blocks) if num_threads else num_envs // (pasts.grain if pasts else _FEWEST_PER_THREAD)
+        ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
         self._calls: list[Call] | None = None
@@ -195,7 +195,7 @@ class ExactBatch:
             TaskError: a number of an observation is NaN.
         """
         numbers, words, scenes, states, times = starts
-        blocks, table, last, _, pasts = self._present._replace(blocks=self._copied()) if after is None else after
+        blocks, table, last, _, past = self._present._replace(blocks=self._copied()) if after is None else after
         if scenes is None:
             rows = table.rows(numbers)
         elif isinstance(scenes, list):
@@ -212,10 +212,9 @@ class ExactBatch:
                 blocks[block, :, lane] = 0.0
                 blocks[block, :12, lane] = states
             blocks[block, workspace.TIME, lane] = 0.0 if times is None else times
-        if pasts is not None:
-            pasts = pasts.begun(numbers, _states(blocks, self._count))
-        self._observe(rows, blocks, numbers, observations, pasts)
-        return Present(blocks, table, last, starts, pasts)
+        past = past and past.begun(numbers, _states(blocks, self._count))
+        self._observe(rows, blocks, numbers, observations, past)
+        return Present(blocks, table, last, starts, past)
 
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand."""
@@ -226,10 +225,8 @@ class ExactBatch:
         over = blocks[block, workspace.OVER, lane] != 0.0
         for row in (workspace.STEPS, workspace.DECISIONS, workspace.OVER):
             blocks[block[over], row, lane[over]] = 0.0
-        pasts = self._present.pasts
-        if pasts is not None:
-            pasts = pasts.begun(np.flatnonzero(chosen), states)
-        self.take(self._present._replace(blocks=blocks, pasts=pasts))
+        past = self._present.past and self._present.past.begun(np.flatnonzero(chosen), states)
+        self.take(self._present._replace(blocks=blocks, past=past))
 
     def _copied(self) -> Array:
         """A copy of the blocks in spare memory."""
@@ -256,7 +253,7 @@ class ExactBatch:
         self._generators[numbers] = words
         if scenes is not None:
             present.scenes.put(numbers, scenes)
-        self._present = Present(present.blocks, present.scenes, present.last, None, present.pasts)
+        self._present = Present(present.blocks, present.scenes, present.last, None, present.past)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -266,12 +263,12 @@ class ExactBatch:
         """
         self._settle()
         present = self._present
-        self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.pasts)
+        self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.past)
 
-    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, pasts: Pasts | None) -> None:
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, past: Past | None) -> None:
         """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
-        if pasts is not None:
-            pasts.draw(rows, numbers, observations, self._threads)
+        if past is not None:
+            past.draw(rows, numbers, observations, self._threads)
             return
         bad = compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations)
         if bad >= 0:
@@ -326,13 +323,13 @@ class ExactBatch:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
         self._settle()
         count, halt, steps, present = self._count, Halt(), self._repeat.steps, self._present
-        terms, pasts = len(self._nouns.task.terms), present.pasts
+        terms, past = len(self._nouns.task.terms), present.past
         filled = Results(
-            NOTHING.observations if pasts else self._nouns.unfilled(count), np.zeros((1, count)),
+            NOTHING.observations if past else self._nouns.unfilled(count), np.zeros((1, count)),
             np.zeros(count if steps > 1 else 0), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
         )  # fmt: skip
-        if pasts and steps > 1:
+        if past and steps > 1:
             filled = filled._replace(trajectories=np.empty((count, steps + 1, 12)))
         scenes = self._scenes_of_steps(int(actions is not None), steps)
         controls = _NO_ACTIONS if actions is None else actions
@@ -379,15 +376,15 @@ class ExactBatch:
         durations[:] = made * self._dt  # faster than np.full
         infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
         rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
-        observations, scenes, pasts = filled.observations, self._present.scenes, self._present.pasts
-        if pasts is not None:
+        observations, scenes, past = filled.observations, self._present.scenes, self._present.past
+        if past is not None:
             observations, everyone = self._nouns.unfilled(self._count), np.arange(self._count)
             moved = filled.trajectories[:, 1:] if filled.trajectories.size else _states(after, self._count)[:, None]
-            pasts = pasts.after(moved, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
-            pasts.draw(scenes.rows(everyone), everyone, observations, self._threads)
+            past = past.after(moved, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
+            past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
             observations, rewards, filled.terminations, filled.truncations, infos, finished,
-            Present(after, scenes, (self._present.blocks, actions), None, pasts),
+            Present(after, scenes, (self._present.blocks, actions), None, past),
         )  # fmt: skip
 
     def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
