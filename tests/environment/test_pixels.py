@@ -93,10 +93,10 @@ def test_a_picture_determines_the_jacks_pose_and_the_boxs_angle(pose: tuple[floa
     for steps in (0.08, 0.02):
         simplex = np.vstack([guess, guess + steps * np.diag([1.0, 3.0, 3.0, 5.0])])
         guess = minimize(unlike, guess, method="Nelder-Mead", options={"initial_simplex": simplex}).x
-    found = np.array(guess) - pose
-    assert abs(math.remainder(found[0], math.tau)) < 0.01
-    assert np.hypot(found[1], found[2]) < 0.05
-    assert abs(math.remainder(found[3], math.tau)) < 0.1
+    errors = np.array(guess) - pose
+    assert abs(math.remainder(errors[0], math.tau)) < 0.01
+    assert np.hypot(errors[1], errors[2]) < 0.05
+    assert abs(math.remainder(errors[3], math.tau)) < 0.1
 
 
 # -- the moments -------------------------------------------------------------------------------------------------------
