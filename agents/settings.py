@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, make_dataclass
@@ -15,7 +16,8 @@ from agents.user_code import is_object, loaded
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.model.action import ACTIONS, repeat_of
-from jackbox_env.model.observation import OBSERVATIONS
+from jackbox_env.model.observation import OBSERVATIONS, seen_of
+from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, chosen, explicit, resolve
@@ -24,12 +26,16 @@ from jackbox_env.tools import checks as check
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro
 
-NAMES: dict[str, Collection[str]] = {"task": TASKS, "observation": OBSERVATIONS, "action": ACTIONS}  # built-in ones
+NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
+    "task": TASKS, "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS,
+}  # fmt: skip
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
+_FEATURES = 512  # of a picture, that Stable-Baselines3's convolutions pass on to the layers
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
 MOST_STEPS = 10**12  # also of episodes and samples
 MOST_ROLLOUT_SAMPLES = 5_000_000  # between updates
+MOST_ROLLOUT_BYTES = 10**10  # of pictures between updates
 MOST_LAYERS = 32
 MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
@@ -97,7 +103,7 @@ class EnvSettings:
         resolve(**chosen(self))
         check.known_keys("randomize", self.randomized, NUMBERS)
         for name in NAMES:
-            if hasattr(self, name) and name not in self.objects:
+            if hasattr(self, name) and name not in self.objects and not self._has_sizes(name):
                 check.choice(name, getattr(self, name), [*NAMES[name], "file.py:name"])
 
     @classmethod
@@ -131,6 +137,11 @@ class EnvSettings:
             ValueError: it is not a JSON object.
         """
         return check.from_json("randomize", self.randomize, dict)
+
+    def _has_sizes(self, name: str) -> bool:
+        """Whether a setting is a name of pictures with their size, which is checked."""
+        value = getattr(self, name)
+        return name == "observation" and isinstance(value, str) and pixels_named(value) is not None
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -179,6 +190,16 @@ _REPEATED: dict[str, Any] = {
     "action_repeat": 20, "total_steps": 2_000_000, "num_envs": 256, "rollout_steps": 32, "learning_rate": 1e-3,
     "gamma": 0.905, "initial_log_std": -0.7, "checkpoint_steps": 500_000, "eval_steps": 250_000,
 }  # fmt: skip
+_PICTURES: dict[str, Any] = {  # of landings
+    **_REPEATED,
+    "num_envs": 256,
+    "rollout_steps": 16,
+    "batch_size": 512,
+    "epochs": 3,
+    "learning_rate": 5e-4,
+    "initial_log_std": -2.0,
+    "total_steps": 1_500_000,
+}
 _TORQUES: dict[str, Any] = {
     **_REPEATED, "action": "torque", "action_repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5,
     "gamma": 0.99, "hidden_units": (128, 128),
@@ -221,7 +242,10 @@ class TrainSettings(EnvSettings):
     initial_log_std: float = -1.0
     """Initial logarithm of the actions' standard deviation."""
     observation: str = "landing"
-    """What the networks observe: state (ten numbers), landing (21, with the next landing), or your file.py:name."""
+    (
+        "What the networks observe: state (ten numbers), landing (21, with the next landing), pixels (or "
+        "pixels-48x48x4: width, height and number of pictures), or your file.py:name."
+    )
     action: str = "landing"
     (
         "What they choose: torque, discrete (-1, 0 or 1 of its limit), landing (the box's angle and rate then), or "
@@ -243,11 +267,13 @@ class TrainSettings(EnvSettings):
         """Complete ``settings`` with the defaults that train best on their task with their kind of actions.
 
         Actions are landings on juggle, else torques. Landings last until the next impact, unless ``action_repeat`` is
-        a number.
+        a number, or pictures are observed: at an impact these do not show the velocities after it.
         """
         action = settings.setdefault("action", "landing" if settings.get("task", cls.task) == "juggle" else "torque")
-        by_bounce = settings.get("action_repeat", "bounce" if action == "landing" else None) == "bounce"
-        return cls(**({} if by_bounce else _REPEATED if action == "landing" else _TORQUES) | settings)
+        pictures = str(settings.get("observation", "")).startswith("pixels")
+        by_bounce = settings.get("action_repeat", None if pictures or action != "landing" else "bounce") == "bounce"
+        repeated = (_PICTURES if pictures else _REPEATED) if action == "landing" else _TORQUES
+        return cls(**({} if by_bounce else repeated) | settings)
 
     @classmethod
     def of(cls, values: Any) -> Self:
@@ -263,6 +289,11 @@ class TrainSettings(EnvSettings):
     def env_settings(self) -> dict[str, Any]:
         """As :attr:`EnvSettings.env_settings`, with what the networks observe and do."""
         return {**super().env_settings, **self.nouns}
+
+    @property
+    def pixels(self) -> Pixels | None:
+        """The pictures that the networks observe; None: they observe numbers. Raises as ``env_settings``."""
+        return seen_of(self.nouns["observation"])[1]
 
     @property
     def nouns(self) -> dict[str, Any]:
@@ -303,7 +334,14 @@ class TrainSettings(EnvSettings):
             raise ValueError(f"num_envs * rollout_steps must be at most {MOST_ROLLOUT_SAMPLES:,}, got {samples:,}")
         if len(self.hidden_units) > MOST_LAYERS:
             raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        inputs = len(OBSERVATIONS[self.observation].names) if "observation" not in self.objects else 1
+        inputs = 1
+        if "observation" not in self.objects:
+            inputs = _FEATURES if self.pixels else len(OBSERVATIONS[self.observation].names)
+            size = samples * math.prod(self.pixels.shape) if self.pixels else 0
+            if size > MOST_ROLLOUT_BYTES:
+                raise ValueError(
+                    f"num_envs * rollout_steps pictures must have at most {MOST_ROLLOUT_BYTES:,} bytes, got {size:,}"
+                )
         weights = sum(before * after for before, after in pairwise((inputs, *self.hidden_units, 1)))
         if weights > MOST_WEIGHTS:
             raise ValueError(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jackbox_env.measure.result import Fit
     from jackbox_env.model.action import Action
     from jackbox_env.model.observation import Observation
+    from jackbox_env.model.pixels import Pixels
     from jackbox_env.planning.ilqr import ilqr
     from jackbox_env.planning.linearization import Linearization, linearize
     from jackbox_env.planning.rollouts import Rollout, rollout
@@ -44,6 +45,7 @@ _LAZY = {
     "Linearization": "planning.linearization",
     "Motion": "recording.motion",
     "Observation": "model.observation",
+    "Pixels": "model.pixels",
     "Simulator": "simulators",
     "StepResult": "simulators",
     "make_simulator": "simulators",
@@ -72,6 +74,7 @@ __all__ = [
     "Linearization",
     "Motion",
     "Observation",
+    "Pixels",
     "Recording",
     "Rollout",
     "Scene",

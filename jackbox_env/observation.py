@@ -1,5 +1,6 @@
 """What an agent observes."""
 
 from jackbox_env.model.observation import Observation, observation_of
+from jackbox_env.model.pixels import Pixels
 
-__all__ = ["Observation", "observation_of"]  # the last one: pickles name it
+__all__ = ["Observation", "Pixels", "observation_of"]  # the last one: pickles name it

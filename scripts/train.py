@@ -38,6 +38,7 @@ class Early(TypedDict, total=False):
     """The options on which other defaults depend."""
 
     task: str
+    observation: str
     action: str
     action_repeat: int | Literal["bounce"]
 

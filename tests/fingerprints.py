@@ -99,6 +99,18 @@ def batched(contact: str, scene: Scene, task: str, count: int, steps: int) -> st
     return digest(parts)
 
 
+def pictured(contact: str, scene: Scene) -> str:
+    """Digest of the pictures that single environments and a batch observe, of every size and at every angle."""
+    parts: list[Any] = []
+    for name in ("pixels", "pixels-36x50x3"):
+        env = JackInBoxEnv(contact=contact, scene=scene, observation=name)
+        parts.append(env.reset(seed=2)[0])
+        parts += [env.step(None)[0] for _ in range(20)]
+    batch = JackInBoxVectorEnv(5, contact=contact, scene=scene, observation="pixels-48x48x2", action_repeat=2)
+    parts.append(batch.reset(seed=5)[0])
+    return digest([*parts, *(batch.step(np.full((5, 1), 0.3))[0] for _ in range(10))])
+
+
 def rolled(scene: Scene) -> str:
     """Digest of rollouts."""
     rng = np.random.default_rng(0)
@@ -122,6 +134,7 @@ def of_contact_model(contact: str, steps: int) -> Digests:
             digests[f"rollout, {name}"] = rolled(scene)
     odd = Scene(box_half_width=3.7391, jack_arm=0.61237, box_mass=211.3, jack_mass=5.31, torque_limit=2e4, drive=None)
     digests[f"{contact}, an odd scene"] = simulated(contact, odd, FREE, steps, held=True)
+    digests[f"{contact}, pictures"] = pictured(contact, odd)
     digests[f"{contact}, at rest"] = simulated(contact, Scene(drive=None), RESTING, 10, held=False)
     digests[f"{contact}, with loss"] = simulated(contact, Scene(restitution=0.5, drive=None), FREE, steps, held=True)
     digests[f"{contact}, many turns"] = simulated(contact, Scene(drive=None), TURNED, steps, held=True)

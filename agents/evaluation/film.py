@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,26 +15,32 @@ from agents.evaluation.episodes import control_steps
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EPISODE_STEPS
 from jackbox_env import JackInBoxEnv
+from jackbox_env.envs.decisions import ControlStep
 from jackbox_env.recording.film import Frame, check_film, write_film
-from jackbox_env.render.renderer import Renderer
+from jackbox_env.render.renderer import GAP, Renderer, tiled
 from jackbox_env.tools.command_line import bar
 
 WIDTH = 512  # of each picture [pixels]
 _CAPTION_HEIGHT = 36  # [pixels] whatever the width: a page shows a wide film smaller
 
 
-def film_episode(acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], path: Path, seed: int) -> None:
-    """Film one whole episode of these policies, whose start ``seed`` decides; prints the path and the returns.
+def film_episode(
+    acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], path: Path, seed: int, count: int = 1
+) -> None:
+    """Film the first ``count`` whole episodes of these policies, whose starts ``seed`` decides, as one picture each.
+
+    Prints the path and the returns.
 
     Raises:
         FileExistsError: there is something at ``path``.
     """
     seconds = EPISODE_STEPS * float(env_settings.get("control_dt", 0.02))
     named = {Path(name).name: act for name, act in acts.items()}
-    earned = film(named if len(named) == len(acts) else acts, env_settings, path, seed, seconds, WIDTH)
-    print(f"Film of {', '.join(acts)}: {path}, the first episode")
+    named = named if len(named) == len(acts) else acts
+    earned = film(named, env_settings, path, seed, seconds, WIDTH, count=count)
+    print(f"Film of {', '.join(acts)}: {path}, the first {'episode' if count == 1 else f'{count} episodes'}")
     for name, one in zip(acts, earned.values(), strict=True):
-        print(f"  {name}: return {one:.1f}")
+        print(f"  {name}: {'return' if count == 1 else 'mean return'} {one:.1f}")
 
 
 def film(
@@ -44,18 +52,20 @@ def film(
     width: int = WIDTH,
     progress: bool = True,
     begin: float = 0.0,
+    count: int = 1,
 ) -> dict[str, float]:
-    """Let each policy act from the same start and write their frames side by side; return their sums of rewards.
+    """Let each policy act from the same starts and write their frames side by side; return their mean returns.
 
     Args:
         acts: caption -> policy and its keywords of the environment. A picture stands still when its episode is over.
         env_settings: keyword arguments for ``gymnasium.make("JackInBox-v0", ...)``.
         path: .gif or .mp4; must not exist.
-        seed: of the start.
+        seed: of the first start; the others follow.
         seconds: simulated time shown.
         width: of each picture [pixels].
         progress: show a progress bar.
         begin: simulated time before the first frame [s]; its rewards count.
+        count: episodes of each policy; several are tiles of its picture, without readings.
 
     Raises:
         OSError, ValueError: no film can be written to ``path``.
@@ -63,7 +73,8 @@ def film(
     check_film(path)
     control_dt = float(env_settings.get("control_dt", 0.02))
     every = max(1, round(0.04 / control_dt))  # 25 frames per second
-    shown = [_Shown(caption, acting, env_settings, seed, width) for caption, acting in acts.items()]
+    seeds = range(seed, seed + count)
+    shown = [_Shown(caption, acting, env_settings, seeds, width) for caption, acting in acts.items()]
     frames, first = [], round(begin / control_dt)
     steps = range(first + max(1, round(seconds / control_dt)))
     with bar(len(steps), progress) as moved:
@@ -78,30 +89,59 @@ def film(
 
 
 class _Shown:
-    """An episode that is filmed."""
+    """One or several episodes of a policy that are filmed."""
 
     def __init__(
-        self, caption: str, acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int, width: int
+        self, caption: str, acting: PolicyWithEnv, env_settings: dict[str, Any], seeds: Sequence[int], width: int
     ) -> None:
-        env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
-        observation, info = env.reset(seed=seed)
-        inner = cast(JackInBoxEnv, env.unwrapped)
-        name = inner.task if isinstance(inner.task, str) else ", ".join(inner.task.terms)
-        self._renderer = Renderer(inner.scene, "rgb_array", inner.metadata["render_fps"], name, (width, width), True)
-        self._renderer.reset(info["state"], info["time"])
-        self._steps = control_steps(env, acting, observation)
-        self.caption, self.earned, self._width, self._time = caption, 0.0, width, info["time"]
+        self._episodes = [_Episode(acting, env_settings, seed) for seed in seeds]
+        self.caption, self._width, self._renderer = caption, width, None
+        if len(seeds) == 1:
+            (one,) = self._episodes
+            name = one.env.task if isinstance(one.env.task, str) else ", ".join(one.env.task.terms)
+            fps = one.env.metadata["render_fps"]
+            self._renderer = Renderer(one.env.scene, "rgb_array", fps, name, (width, width), True)
+            self._renderer.reset(one.state, one.time)
+
+    @property
+    def earned(self) -> float:
+        """Mean return so far."""
+        return sum(episode.earned for episode in self._episodes) / len(self._episodes)
 
     def advance(self, time: float) -> None:
-        """Go on to this time [s], or to the episode's end."""
-        while self._time < time - 1e-9 and (step := next(self._steps, None)) is not None:
-            self._time = step.time
-            self._renderer.record(step.state, step.time, step.torque, step.impacts, step.reward)
-            self.earned += step.reward
+        """Go on to this time [s], or to the episodes' ends."""
+        for episode in self._episodes:
+            for step in episode.until(time):
+                if self._renderer is not None:
+                    self._renderer.record(step.state, step.time, step.torque, step.impacts, step.reward)
 
     def picture(self) -> Frame:
         """The present picture, with its caption and the return so far."""
-        return _captioned(self._renderer.drawn(), f"{self.caption}: {self.earned:.0f}", self._width)
+        if self._renderer is not None:
+            frame = self._renderer.drawn()
+        else:
+            side = max(16, (self._width + GAP) // math.ceil(math.sqrt(len(self._episodes))) - GAP)
+            states = np.array([episode.state for episode in self._episodes])
+            times = np.array([episode.time for episode in self._episodes])
+            frame = tiled([episode.env.scene for episode in self._episodes], states, times, (side, side))
+        return _captioned(frame, f"{self.caption}: {self.earned:.0f}", self._width)
+
+
+class _Episode:
+    """An episode of a policy, and its present state."""
+
+    def __init__(self, acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int) -> None:
+        env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
+        observation, info = env.reset(seed=seed)
+        self.env, self.state, self.time = cast(JackInBoxEnv, env.unwrapped), info["state"], info["time"]
+        self.earned, self._steps = 0.0, control_steps(env, acting, observation)
+
+    def until(self, time: float) -> Iterator[ControlStep]:
+        """The control steps up to this time [s], or to the episode's end."""
+        while self.time < time - 1e-9 and (step := next(self._steps, None)) is not None:
+            self.state, self.time = step.state, step.time
+            self.earned += step.reward
+            yield step
 
 
 def _captioned(picture: Any, caption: str, width: int) -> Frame:

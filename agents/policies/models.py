@@ -63,7 +63,9 @@ class ModelPolicy:
         self, observation: Any, state: Memory | None = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Actions, Memory]:
         """The model's actions; see :class:`.scripted.Policy`."""
-        rows, frames = np.atleast_2d(np.asarray(observation, dtype=np.float32)), list[NDArray[Any]]()
+        pictures = np.ndim(observation) > 2
+        rows, frames = np.asarray(observation, dtype=np.uint8 if pictures else np.float32), list[NDArray[Any]]()
+        rows = np.atleast_2d(rows)
         for wrapper in self._wrappers:
             if "stack" in wrapper:
                 size, earlier = rows.shape[1], state and state.frames[len(frames)]
@@ -79,7 +81,7 @@ class ModelPolicy:
         actions, recurrent = self.model.predict(
             rows, state=state and state.state, episode_start=episode_start, deterministic=deterministic
         )
-        return actions if np.ndim(observation) == 2 else actions[0], Memory(frames, recurrent)
+        return actions[0] if np.ndim(observation) == 1 else actions, Memory(frames, recurrent)
 
 
 def load(file: Path, algorithm: str | None) -> Any:
@@ -175,8 +177,15 @@ def model_in_env(
         env = gym.make("JackInBox-v0", **{**settings.env_settings, **keywords})
         env.close()
         spaces: Any = env.observation_space, env.action_space
-        size = math.prod([*spaces[0].shape, *(one.get("stack", 1) for one in wrappers)])
-        wanted, got = ((size,), spaces[1]), (model.observation_space.shape, model.action_space)
+        shape: tuple[int, ...] = spaces[0].shape
+        if len(shape) == 1:
+            shape = (math.prod([*shape, *(one.get("stack", 1) for one in wrappers)]),)
+        elif wrappers:
+            raise ValueError("its observations are pixels, which env.json cannot stack or scale")
+        known = model.observation_space.shape
+        if len(shape) > 1 and known == (shape[2], *shape[:2]):  # as Stable-Baselines3 transposes them
+            known = shape
+        wanted, got = (shape, spaces[1]), (known, model.action_space)
         if got != wanted:
             nouns = "use --env observation=..., --env action=... and --env action_repeat=... as in its training"
             raise ValueError(f"it has observations {got[0]} and {got[1]}, got {wanted[0]} and {wanted[1]}: {nouns}")

@@ -10,6 +10,7 @@ from agents.files import as_value_error
 from agents.policies.models import load, model_in_env, stored_beside
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
+from agents.policies.pictures import picture_policy
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
@@ -116,6 +117,8 @@ def _network(file: Path, read: Callable[[], tuple[TrainSettings, Any]]) -> Polic
     """
     with as_value_error(f"{file} is no model of its settings"):
         settings, parameters = read()
+        if settings.pixels:
+            return picture_policy(settings, parameters)
         return NetworkPolicy(settings, layers_of(parameters)).in_env
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stable_baselines3.common.preprocessing import is_image_space
+
 from agents.policies.network import layers_of, write_with_layers
 from agents.runs import CODE, EVALUATIONS, SETTINGS, TIME, read_settings, run_folder
 from agents.training.models import load_model
@@ -19,9 +21,12 @@ def export_policy(run: Path, folder: Path, trust: bool = False) -> None:
         trust: as of :func:`load_model`.
 
     Raises:
-        FileNotFoundError, ValueError: as :func:`load_model`.
+        FileNotFoundError, ValueError: as :func:`load_model`; or the policy observes pictures.
     """
-    layers = layers_of(load_model(run, trust).get_parameters()["policy"])
+    model = load_model(run, trust)
+    if is_image_space(model.observation_space):
+        raise ValueError(f"{run} observes pixels, and only networks of numbers can be exported")
+    layers = layers_of(model.get_parameters()["policy"])
     source = run_folder(run) or run
     write_with_layers(folder, SETTINGS, read_settings(source), layers)
     for name in (CODE, EVALUATIONS, TIME):

@@ -13,9 +13,9 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.files import as_value_error
+from agents.policies.pictures import policy_kwargs
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, run_folder, trusted_settings
 from agents.settings import TrainSettings
-from jackbox_env.model.action import action_of
 from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
 from jackbox_env.tools import checks as check
 
@@ -43,13 +43,6 @@ def try_out(settings: TrainSettings) -> None:
     environments.close()
 
 
-def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
-    """Keyword arguments of Stable-Baselines3's policy: its layers, and the first deviation of continuous actions."""
-    layers = {"net_arch": list(settings.hidden_units)}
-    continuous = action_of(settings.nouns["action"]).size
-    return {**layers, "log_std_init": settings.initial_log_std} if continuous else layers
-
-
 def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:
     """An untrained PPO model of these settings.
 
@@ -57,7 +50,7 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
     ``jackbox_env``. It stores the settings as ``trained_by``.
     """
     model = PPO(
-        "MlpPolicy",
+        "CnnPolicy" if settings.pixels else "MlpPolicy",
         environments,
         learning_rate=LinearSchedule(settings.learning_rate, 0.0, 1.0),  # of SB3, so that the model loads anywhere
         n_steps=settings.rollout_steps,

@@ -33,6 +33,9 @@ from jackbox_env.sb3 import Durations
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
 
 FRESH_EPISODES = 64  # that judge the trained model
+# Of the rewards, if policy and value share the convolutions of pictures: about 1 in sum, so that neither loss is lost
+# beside the other.
+PICTURED_SCALE = 0.01
 
 
 class Deadline(BaseCallback):
@@ -160,6 +163,8 @@ def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
     environments = TimedEnvironments(settings.num_envs, **settings.env_settings)
+    if settings.pixels:
+        environments.scale = PICTURED_SCALE
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if parameters is not None:

@@ -12,16 +12,16 @@ from jackbox_env.sb3 import JackInBoxVecEnv
 
 
 class TimedEnvironments(JackInBoxVecEnv):
-    """Environments that add up how long their steps take: ``seconds``."""
+    """Environments that add up how long their steps take: ``seconds``; their rewards are multiplied by ``scale``."""
 
-    seconds = 0.0
+    seconds, scale = 0.0, 1.0
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step."""
         began = time.perf_counter()
-        result = super().step_wait()
+        observations, rewards, dones, infos = super().step_wait()
         self.seconds += time.perf_counter() - began
-        return result
+        return observations, rewards if self.scale == 1.0 else self.scale * rewards, dones, infos
 
 
 class TrainingTimer(BaseCallback):
@@ -37,6 +37,7 @@ class TrainingTimer(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._began, self._first_step = time.perf_counter(), self.num_timesteps
+        self._spent = time.process_time()
 
     def _on_rollout_start(self) -> None:
         self._rollout_began = time.perf_counter()
@@ -48,11 +49,12 @@ class TrainingTimer(BaseCallback):
         return True
 
     def record(self) -> dict[str, Any]:
-        """Steps, seconds, and the seconds of environment, acting and updates, of this process."""
+        """Steps, seconds, those of the processor, and those of environment, acting and updates, of this process."""
         total, stepping = time.perf_counter() - self._began, self._environments.seconds
         return {
             "steps": self.num_timesteps - self._first_step,
             "seconds": total,
+            "processor_seconds": time.process_time() - self._spent,
             "parts": {
                 "environment": stepping,
                 "choosing actions, evaluations and files": self._collecting - stepping,

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from agents.policies.pictures import policy_kwargs
 from agents.settings import TrainSettings
-from agents.training.models import policy_kwargs
 
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ class ControlStep(NamedTuple):
     terms: Sequence[float]  # of the reward
     reward: float
     over: bool  # whether it terminates the episode
-    seen: NDArray[np.float32]  # observation at its end, or empty
+    seen: NDArray[Any]  # observation at its end, or empty
 
 
 def decide(

@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from jackbox_env.model.action import ACTIONS, Action
 from jackbox_env.model.observation import OBSERVATIONS, Observation
+from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.tasks import TASKS, Task
 from jackbox_env.simulators.fidelity import KEYWORDS
@@ -31,7 +32,7 @@ PACKAGES = ("stable_baselines3", "sb3_contrib")  # that models are of
 # Wrappers that change neither what an agent observes nor how it acts.
 _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
-    "VecCheckNan", "VecMonitor", "VecVideoRecorder",
+    "VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder",
 }  # fmt: skip
 _KEYS = {"env", "missing", "wrappers", "algorithm"}  # of an entry
 _BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
@@ -170,7 +171,7 @@ def _storable_value(name: str, value: Any) -> Any:
         return {field: number for field, number in fields if field not in default or number != default[field]}
     if name == "scene" or callable(value) or isinstance(value, tuple(_BUILTIN)):
         return _name_of(value)
-    return value
+    return value.name if isinstance(value, Pixels) else value
 
 
 def _name_of(value: Any) -> str | None:

@@ -14,6 +14,7 @@ from types import FunctionType
 from typing import Any, NamedTuple, cast
 from weakref import WeakKeyDictionary
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,7 @@ from jackbox_env.model.observation import (
     observation_of,
     observe_named,
 )
+from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, State
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
@@ -33,7 +35,7 @@ from jackbox_env.simulators import Impact, Simulator, StepResult, contact_model
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
-Seen = NDArray[np.float32]
+Seen = NDArray[Any]  # float32, or uint8 pictures
 Judged = tuple[Seen, Sequence[float], bool]
 # State, time [s], mean torque [N m], impacts, their impulse [N s], and what is judged.
 Stepped = tuple[Array, float, float, Sequence[Impact], float, Seen, Sequence[float], bool]
@@ -49,6 +51,7 @@ class Nouns(NamedTuple):
     task: Task
     observation: Observation = STATE
     action: Action = ACTIONS["torque"]
+    pixels: Pixels | None = None  # observed in place of ``observation``
 
     @property
     def builtin(self) -> bool:
@@ -59,6 +62,17 @@ class Nouns(NamedTuple):
     def steady(self) -> bool:
         """Whether the action has no function of a user."""
         return self.action in ACTIONS.values()
+
+    @property
+    def space(self) -> gym.spaces.Box:
+        """Of the observations."""
+        pictures = self.pixels and gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
+        return pictures or gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
+
+    def unfilled(self, count: int) -> Seen:
+        """Memory for so many observations."""
+        one, kind = (self.pixels.shape, np.uint8) if self.pixels else ((len(self.observation.names),), np.float32)
+        return np.empty((count, *one), dtype=kind)
 
 
 class PlainFunctions:

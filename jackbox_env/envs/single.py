@@ -17,20 +17,23 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
+from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.decisions import ControlStep, added, decide
+from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
 from jackbox_env.envs.settings import Settings
 from jackbox_env.model import tasks
 from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
-from jackbox_env.model.observation import Observation, observation_of
+from jackbox_env.model.observation import Observation, seen_of
+from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, Array, as_start
+from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
 
-Seen = NDArray[np.float32]
+Seen = NDArray[Any]  # float32, or uint8 pictures
 AnyAction = NDArray[Any] | float | None
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
@@ -87,7 +90,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     ## Observation Space
 
     `observation` selects it: `"state"` (default), the ten numbers below; `"landing"`, these and the eleven of
-    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; or a `jackbox_env.Observation` of your own.
+    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; `"pixels"` or a `jackbox_env.Pixels`, below;
+    or a `jackbox_env.Observation` of your own.
 
     `"state"` is a `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and
     the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
@@ -106,6 +110,10 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
 
     (*) on the axes of the box; the box's own rotation is not subtracted.
+
+    `"pixels"` is a `Box` of shape (84, 84, 1), uint8: a grey picture of box and jack, whose camera follows the box.
+    `jackbox_env.Pixels(size=(64, 64), stack=4)`, or `"pixels-64x64x4"`, has another size and, in channels, the pictures
+    of the last four control steps. They are drawn from the state by compiled code, with the same bits on every machine.
 
     ## Rewards
 
@@ -145,7 +153,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
     | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
     | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
-    | `observation`    | `"state"`    | the name of one under Observation Space, or a `jackbox_env.Observation`        |
+    | `observation`    | `"state"`    | a name under Observation Space, a `jackbox_env.Observation` or `Pixels`        |
     | `action`         | `"torque"`   | the name of one under Action Space, or a `jackbox_env.Action`                  |
     | `action_repeat`  | `1`          | control steps of an action, or `"bounce"`                                      |
     | `episode_steps`  | `None`       | control steps of an episode; None: 500 if actions are repeated, else no limit  |
@@ -154,7 +162,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
     | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
-    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone, for learning from pixels |
+    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone; below 400 it is faster   |
 
     `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
     up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any
@@ -212,7 +220,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
-        observation: str | Observation = "state",
+        observation: str | Observation | Pixels = "state",
         action: str | Action = "torque",
         action_repeat: Repeats = 1,
         episode_steps: int | None = None,
@@ -233,7 +241,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             "render_mode": render_mode, "render_size": size, "render_overlay": overlay,
         }  # fmt: skip
         self._dt, self._driven = dt, torque == "chirp"
-        self.nouns = nouns = Nouns(tasks.task_of(task), observation_of(observation), action_of(action))
+        numbers, pixels = seen_of(observation)
+        self.nouns = nouns = Nouns(tasks.task_of(task), numbers, action_of(action), pixels)
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
         self._most: float = self.repeat.steps
@@ -244,11 +253,12 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in nouns.task.terms]
-        self.observation_space = gym.spaces.Box(*nouns.observation.bounds, dtype=np.float32)
+        self.observation_space = nouns.space
         self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer, self._frames = None, list[NDArray[np.uint8]]()
+        self._past: Past | None = None  # of the pictures that are observed
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps = list[ControlStep]()  # of the last decision, for recordings
@@ -257,7 +267,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
             name = task if isinstance(task, str) else ", ".join(nouns.task.terms)
             self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)
-            self._start_picture()
+        self._start_pictures()
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
@@ -291,7 +301,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     @property
     def observation(self) -> Seen:
-        """The observation of the present state: a fresh float32 array."""
+        """The observation of the present state: a fresh array."""
+        if self._past is not None:
+            return self._pictures(self._past)
         return self._parts[1].observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
@@ -304,7 +316,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         """
         self._simulator.reset(state, time)
         self._started, self._impacts = True, None
-        self._start_picture()
+        self._start_pictures()
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -343,6 +355,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._np_random = generator
         parts[0].reset(state, time)
         self._adopt(parts)
+        observation = observation if self._past is None else self._pictures(self._past)
         if self.render_mode == "human":
             self.render()
         none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
@@ -362,7 +375,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
-        self._start_picture()
+        self._start_pictures()
 
     def step(self, action: AnyAction) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
         """Make a decision: one or several control steps under ``action``, or under the scene's drive if it is None.
@@ -402,6 +415,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if len(parts) > 1:
             whole = added(parts)
             self._impacts = whole.impacts
+        if self._past is not None:
+            self._past = self._past.after(np.array([[part.state for part in parts]]), np.array([len(parts)]))
+            whole = whole._replace(seen=self._pictures(self._past))
         return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, len(parts))
 
     def _show(self, parts: list[ControlStep]) -> None:
@@ -473,7 +489,14 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         names = self._randomize.names if self._randomize else []
         return {"scene": {name: getattr(self.scene, name) for name in names}} if names else {}
 
-    def _start_picture(self) -> None:
+    def _pictures(self, past: Past) -> Seen:
+        frames = past.draw(np.array([self.scene.numbers]), np.zeros(1, np.int64), self.nouns.unfilled(1), Threads(1))
+        return frames[0]  # type: ignore[no-any-return]
+
+    def _start_pictures(self) -> None:
+        if self.nouns.pixels is not None:
+            poses = np.tile(self._simulator.state[:RATES], (1, self.nouns.pixels.stack, 1))
+            self._past = Past(self.nouns.pixels, poses)
         if self._renderer is not None:
             self._renderer.reset(self._simulator.state, self._simulator.time)
         if self._renderer is not None and self.render_mode == "rgb_array_list":
@@ -493,12 +516,12 @@ def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float, steps: int) 
 def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
     """An environment's state, last step and picture now, for :func:`go_back`."""
     picture = None if env._renderer is None else env._renderer.snapshot()
-    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, picture
+    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, env._past, picture
 
 
 def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
     """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
-    env._parts, present, env.elapsed_steps, env._impacts, picture = to
+    env._parts, present, env.elapsed_steps, env._impacts, env._past, picture = to
     env._parts[0].restore(present)
     if env._renderer is not None:
         env._renderer.restore(picture)

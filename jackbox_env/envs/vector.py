@@ -26,6 +26,7 @@ from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats
 from jackbox_env.model.observation import Observation
+from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import NUMBERS, Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices, as_restored
@@ -77,7 +78,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         randomize: fields of the scenes that each environment draws at each reset.
         render_size: width and height of each environment's frame [pixels].
         render_overlay: False: frames show box, jack and ruled lines alone.
-        observation: the name of one, or an :class:`Observation`.
+        observation: the name of one, an :class:`Observation`, or :class:`Pixels`.
         action: the name of one, or an :class:`Action`.
         action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
         episode_steps: control steps of an episode, counted across decisions.
@@ -120,7 +121,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         randomize: Randomize = None,
         render_size: tuple[int, int] = (512, 512),
         render_overlay: bool = True,
-        observation: str | Observation = "state",
+        observation: str | Observation | Pixels = "state",
         action: str | Action = "torque",
         action_repeat: Repeats = 1,
         episode_steps: int | None = None,
@@ -241,12 +242,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     @property
     @_alone
     def observations(self) -> Floats:
-        """The observations of the present states: a fresh float32 array, shape (N, numbers)."""
+        """The observations of the present states: a fresh array, shape (N, numbers) or (N, h, w, stack)."""
         return self._observed(np.arange(self.num_envs))
 
     def _observed(self, numbers: Indices) -> Floats:
-        """The observations of some environments in their rows, shape (N, numbers)."""
-        observations = np.empty((self.num_envs, len(self._nouns.observation.names)), dtype=np.float32)
+        """The observations of some environments in their rows."""
+        observations = self._nouns.unfilled(self.num_envs)
         self._batch.observe(numbers, observations)
         return observations
 

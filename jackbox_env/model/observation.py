@@ -25,12 +25,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from types import FunctionType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.model.landing import FEATURE_BOUNDS, FEATURES, at_landing, clipped, landing_features
+from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import Array, Floats, Numbers, State
 from jackbox_env.model.tasks import TaskError
@@ -183,6 +184,18 @@ OBSERVATIONS = {
 }
 
 
+def seen_of(observation: str | Observation | Pixels) -> tuple[Observation, Pixels | None]:
+    """The numbers that an agent observes, and the pictures that it observes instead of the ten numbers, or None.
+
+    Raises:
+        TypeError, ValueError: as :func:`observation_of`; or a picture's size or stack is out of its range.
+    """
+    pixels = pixels_named(observation) if isinstance(observation, str) else observation
+    if isinstance(pixels, Pixels):
+        return STATE, pixels
+    return observation_of(cast("str | Observation", observation)), None
+
+
 def observation_of(observation: str | Observation) -> Observation:
     """The observation of that name, or a checked Observation.
 
@@ -191,11 +204,12 @@ def observation_of(observation: str | Observation) -> Observation:
             another shape; something else than a function.
     """
     if isinstance(observation, str):
-        return OBSERVATIONS[check.choice("observation", observation, OBSERVATIONS)]
+        return OBSERVATIONS[check.choice("observation", observation, (*OBSERVATIONS, "pixels"))]
     if not isinstance(observation, Observation):
-        listed = ", ".join(repr(name) for name in OBSERVATIONS)
+        listed = ", ".join(repr(name) for name in (*OBSERVATIONS, "pixels"))
         raise TypeError(
-            f"observation must be one of {listed}, or a jackbox_env.Observation, got {check.shown(observation)}"
+            f"observation must be one of {listed}, or a jackbox_env.Observation or Pixels, got "
+            f"{check.shown(observation)}"
         )
     if observation in OBSERVATIONS.values():
         return observation

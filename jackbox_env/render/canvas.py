@@ -1,8 +1,8 @@
 """A frame's surface and the marks on it, for the renderer.
 
-Marks are drawn on a surface several times as large, which :meth:`Canvas.smooth` scales down; text is written on the
-frame itself. Points are complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left,
-where pixel (i, j) has its centre at i + j * 1j.
+Edges are smooth: those of bands are anti-aliased lines, and discs are images that were scaled down once. Points are
+complex numbers in pixels of the frame: x to the right, y (imaginary) down from the top left, where pixel (i, j) has its
+centre at i + j * 1j.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ PALE_INK: Colour = (112, 122, 138)
 TRACK: Colour = (205, 212, 222)
 
 _FINER = 4  # letters are drawn so many times as large: at their own size whole pixels leave uneven gaps
-_SMALL = 160  # [px] a frame less wide or high is drawn at four times its size: its walls are 1.5 px thick
 
 
 def import_pygame() -> ModuleType:
@@ -82,7 +81,7 @@ def write(surface: pygame.Surface, text: str, point: complex, size: int, colour:
 
 
 class Canvas:
-    """Surfaces of a frame. They are made anew when needed, and never pickled.
+    """The surface of a frame. It is made anew when needed, and never pickled.
 
     Args:
         size: width and height of the frame [px].
@@ -94,12 +93,6 @@ class Canvas:
     def __init__(self, size: tuple[int, int] = (SIZE, SIZE)) -> None:
         self.pygame = import_pygame()
         self.surface: pygame.Surface = self.pygame.Surface(size, 0, 32)
-        self._times = 4 if min(size) < _SMALL else 2
-        self._large: pygame.Surface = self.pygame.Surface((self._times * size[0], self._times * size[1]), 0, 32)
-
-    def smooth(self) -> None:
-        """Scale what was drawn down onto the frame."""
-        self.pygame.transform.smoothscale(self._large, self.surface.get_size(), self.surface)
 
     def pixels(self) -> NDArray[np.uint8]:
         """Return the frame as a fresh array, shape (height, width, 3)."""
@@ -111,37 +104,57 @@ class Canvas:
 
     def fill(self, colour: Colour) -> None:
         """Fill the frame with one colour."""
-        self._large.fill(colour)
+        self.surface.fill(colour)
 
-    def line(self, at: float, axis: int, colour: Colour) -> None:
-        """Draw a line of 1 px across the whole frame, where x (axis 0) or y (1) is ``at`` [px]."""
-        start = round(self._times * at)
-        area = (start, 0, self._times, self._large.get_height())
-        self._large.fill(colour, area if axis == 0 else (0, start, self._large.get_width(), self._times))
-
-    def _on_large(self, point: complex, off: float = 0.0) -> tuple[int, int]:
-        """A point on the large surface, ``off`` less both ways."""
-        x, y = self._times * (point.real + 0.5) - off, self._times * (point.imag + 0.5) - off
-        return round(x), round(y)
+    def line(self, at: float, axis: int, darker: Colour) -> None:
+        """Darken a line of 1 px across the whole frame, where x (axis 0) or y (1) is ``at`` [px]."""
+        first, halves = divmod(round(2.0 * at), 2)  # on one pixel, or on half of each of two
+        for pixel in range(first, first + 1 + halves):
+            area = (pixel, 0, 1, self.surface.get_height()) if axis == 0 else (0, pixel, self.surface.get_width(), 1)
+            share = [part // (1 + halves) for part in darker]
+            self.surface.fill(share, area, self.pygame.BLEND_SUB)
 
     def polygon(self, corners: Sequence[complex], colour: Colour) -> None:
-        """Fill a polygon."""
-        self.pygame.draw.polygon(self._large, colour, [self._on_large(corner, 0.5) for corner in corners])
+        """Fill a polygon, its edges included."""
+        self.pygame.draw.polygon(self.surface, colour, [(round(one.real), round(one.imag)) for one in corners])
 
     def band(self, start: complex, end: complex, width: float, colour: Colour) -> None:
         """Draw a band of some width [px] with square ends."""
-        # A polygon includes its edges, half a pixel of the large surface more on each side.
-        beside = 0.5j * (end - start) / abs(end - start) * (width - 1.0 / self._times)
-        self.polygon([start + beside, end + beside, end - beside, start - beside], colour)
+        # An edge is a line of 1 px, with its middle half a pixel within the band. The polygon between edges is rounded
+        # to pixels; of a wide band a second line at each edge closes the gap.
+        along = (end - start) / abs(end - start)
+        start, end, inner = start + 0.5 * along, end - 0.5 * along, 0.5j * along * (width - 2.0)
+        if width > 2.0:
+            self.polygon([start + inner, end + inner, end - inner, start - inner], colour)
+        beside = 0.5j * along * max(0.0, width - 1.0)
+        for side in (inner, -inner, beside, -beside) if width > 4.0 else (beside, -beside):
+            ends = [(one.real, one.imag) for one in (start + side, end + side)]
+            self.pygame.draw.aaline(self.surface, colour, *ends)
 
     def disc(self, centre: complex, radius: float, colour: Colour) -> None:
         """Draw a disc."""
-        self.pygame.draw.circle(self._large, colour, self._on_large(centre), max(1, round(self._times * radius)))
+        quarters = round(4.0 * centre.real), round(4.0 * centre.imag)
+        image = _disc(max(1, round(16.0 * radius)), colour, quarters[0] % 4, quarters[1] % 4)
+        reach = image.get_width() // 2
+        self.surface.blit(image, (quarters[0] // 4 - reach, quarters[1] // 4 - reach))
 
     def glow(self, centre: complex, radius: float, share: float, colour: Colour) -> None:
         """Draw a ring and a disc in it, as opaque as ``share``, from 0 to 1."""
-        reach = max(2, round(self._times * radius))
+        reach = max(2, round(2.0 * radius))
         image = self.pygame.Surface((2 * reach, 2 * reach), self.pygame.SRCALPHA)
-        for part, width, opacity in ((0.6, 0, 200), (1.0, 2 * self._times, 230)):
+        for part, width, opacity in ((0.6, 0, 200), (1.0, 4, 230)):
             self.pygame.draw.circle(image, (*colour, round(opacity * share)), (reach, reach), part * reach, width)
-        self._large.blit(image, self._on_large(centre, reach))
+        small = self.pygame.transform.smoothscale(image, (reach, reach))
+        self.surface.blit(small, (round(centre.real - 0.5 * reach + 0.5), round(centre.imag - 0.5 * reach + 0.5)))
+
+
+@lru_cache(maxsize=4096)
+def _disc(radius: int, colour: Colour, right: int, down: int) -> pygame.Surface:
+    """A disc of a radius in sixteenths of a pixel, its centre so many quarters of a pixel off that of the image."""
+    game, reach = import_pygame(), radius // 16 + 2
+    large = game.Surface((8 * (2 * reach + 1), 8 * (2 * reach + 1)), game.SRCALPHA)
+    large.fill((*colour, 0))
+    centre = 8 * reach + 4 + 2 * right, 8 * reach + 4 + 2 * down
+    game.draw.circle(large, colour, centre, max(1, radius // 2))
+    image: pygame.Surface = game.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1))
+    return image

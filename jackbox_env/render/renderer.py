@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
+from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH, draw_colours
 from jackbox_env.simulators.base import Impact
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
 
@@ -34,14 +35,11 @@ if TYPE_CHECKING:
 # Layout [px] of a frame of 512 x 512, scaled in others: rulers on the left and at the bottom, text in the corners, and
 # the rest for the box, which may turn freely.
 _RULER, _FLOOR = 54.0, 20.0
-_WALL = 6.0  # thickness of a wall, outwards from its inside face
-_REACH = 224.0  # of the box's outer corners from its centre, at any angle
 _MARGIN = 10.0
 _BEAD = 1.75  # radius of the trail's beads
 _FOOT = 6.0  # greatest radius of a foot
 _GAUGE = 18.0  # radius
 _LETTERED = 400  # a frame less wide or high has neither rulers nor readings: their letters would be 6 px high
-_LEAST_WALL = 1.5  # of a small frame, so that the wall is seen
 GAP = 2  # between tiles, of any size
 
 # Times in units of L / v0, a fall's time scale (0.55 s in the default scene), and at least this many control steps.
@@ -53,10 +51,12 @@ _LONGEST_TASK = 18  # letters
 
 _PAPER: Colour = (243, 245, 248)
 _INTERIOR: Colour = (255, 255, 255)
-_RULE: Colour = (215, 223, 236)
+_RULE_DARKER: Colour = (28, 22, 12)  # a ruled line than its ground
+_RULE: Colour = (227, 233, 243)  # on the interior
 _RULER_TINT: Colour = (236, 239, 244)
 _FLASH: Colour = (255, 176, 0)
 _TRAIL: Colour = (120, 158, 214)
+_MARKS: Array = np.array([WALL, WALL, JACK, FIRST_FOOT, WALL], dtype=np.float64)  # as ``raster.draw`` numbers them
 
 # The trail's colours from new to old.
 _FADING: list[Colour] = [(r, g, b) for r, g, b in np.linspace(_TRAIL, _INTERIOR, 16).astype(int).tolist()]
@@ -117,14 +117,16 @@ class Renderer:
         self._task = task if len(task) <= _LONGEST_TASK else task[: _LONGEST_TASK - 1] + "…"
         self._lettered = overlay and min(size) >= _LETTERED
         # [px] of this frame for a pixel of 512
-        self._px = min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / _REACH
+        self._px = min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / REACH
         self._ruler, self._floor = _RULER * self._px * self._lettered, size[1] - _FLOOR * self._px * self._lettered
         self._centre = complex(0.5 * (self._ruler + size[0]), 0.5 * size[1])  # of the box
-        self._wall = max(_WALL * self._px, _LEAST_WALL)
+        self._wall = max(WALL_WIDTH * self._px, LEAST_WALL)
         self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's position [m]
         # Time [s], point in the box frame [m], radius [px].
         self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
-        self._canvas: Canvas | None = Canvas(size)
+        # Frames with neither overlay nor letters are drawn without pygame.
+        self._plain = not (overlay or self._human) and min(size) < _LETTERED
+        self._canvas = None if self._plain else Canvas(size)
         self._window: Any = None
         self._clock: Any = None
         self.show(scene)
@@ -136,7 +138,7 @@ class Renderer:
     def show(self, scene: Scene) -> None:
         """Draw another scene from now on; call :meth:`reset` next."""
         self._scene = scene
-        half_width = _REACH * self._px / math.sqrt(2.0) - self._wall
+        half_width = REACH * self._px / math.sqrt(2.0) - self._wall
         self._scale = half_width / scene.box_half_width  # [px/m]
         self._time_scale = scene.box_half_width / scene.speed_scale  # [s]
         self._spacing = _round_step(scene.box_half_width / 3.5)  # [m] of the ruled lines
@@ -225,6 +227,8 @@ class Renderer:
             A fresh array (height, width, 3) of uint8, or None in the human mode, which shows it in the window and waits
             for the next frame's time.
         """
+        if self._plain:
+            return self._plain_frame()
         if self._canvas is None:
             self._canvas = Canvas(self._size)
         canvas = self._canvas
@@ -236,7 +240,6 @@ class Renderer:
         self._draw_jack(canvas)
         if self._overlay:
             self._draw_gauge(canvas)
-        canvas.smooth()
         if self._lettered:
             self._draw_rulers(canvas.surface)
             self._write_readings(canvas.surface)
@@ -244,6 +247,17 @@ class Renderer:
             self._show(canvas)
             return None
         return canvas.pixels()
+
+    def _plain_frame(self) -> NDArray[np.uint8]:
+        """Draw ruled lines, box and jack by compiled code."""
+        frame = np.empty((self._size[1], self._size[0], 3), np.uint8)
+        frame[:] = _INTERIOR
+        for axis in (0, 1):
+            for pixel, _ in self._rules(axis):
+                frame[(slice(None),) * (1 - axis) + (slice(round(pixel), round(pixel) + 1),)] = _RULE
+        pose = self._box.real, self._box.imag, self._angle, self._jack.real, self._jack.imag, self._jack_angle
+        draw_colours(frame, pose, self._scene, self._centre + 0.5 + 0.5j, _MARKS)
+        return frame
 
     def drawn(self) -> NDArray[np.uint8]:
         """A frame, as :meth:`render` returns it where there is no window."""
@@ -280,7 +294,7 @@ class Renderer:
         canvas.polygon([self._in_frame(corner * turn * 1j**number) for number in range(4)], _INTERIOR)
         for axis in (0, 1):
             for pixel, _ in self._rules(axis):
-                canvas.line(pixel, axis, _RULE)
+                canvas.line(pixel, axis, _RULE_DARKER)
 
     def _rules(self, axis: int) -> Iterator[tuple[float, float]]:
         """Yield the ruled lines of the frame as (pixel, coordinate [m]), along x (axis 0) or y (1)."""
@@ -339,7 +353,7 @@ class Renderer:
 
         tip, sign = 140.0 * share, math.copysign(1.0, share)
         head = sign * min(26.0, abs(tip))
-        for degrees in sorted(range(-140, 141, 4), key=abs, reverse=True):
+        for degrees in sorted(range(-140, 141, 5), key=abs, reverse=True):
             canvas.disc(at(degrees), 2.0 * self._px, TORQUE if 0.0 <= sign * degrees < abs(tip - head) else TRACK)
         if share:
             side = 0.2 * radius * head * sign / 20.0

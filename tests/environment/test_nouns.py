@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, TaskError
+from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Pixels, Scene, TaskError
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.action import Repeats
 from jackbox_env.model.landing import aim
@@ -74,6 +74,9 @@ def drawn(space: gym.Space[Any], steps: int, count: int) -> list[Any]:
         ("state", "torque", 4, FALL),
         (SEEN, SERVO, 1, "juggle"),
         (SEEN, BEAT, 7, FALL),
+        (Pixels((20, 24), 3), "torque", 1, FALL),
+        (Pixels((24, 20), 3), "landing", "bounce", FALL),
+        ("pixels-16x16x1", "torque", 2, "juggle"),
     ],
 )
 def test_every_kind_of_environment_does_the_same(
@@ -93,8 +96,9 @@ def test_every_kind_of_environment_does_the_same(
 
 
 @EVERY_MODEL
-def test_vectors_of_single_environments_do_the_same(contact: str) -> None:
-    settings: dict[str, Any] = {"contact": contact, "observation": "landing", **LANDINGS, "episode_steps": 120}
+@pytest.mark.parametrize("observation", ["landing", Pixels((24, 20), 2)])
+def test_vectors_of_single_environments_do_the_same(contact: str, observation: Any) -> None:
+    settings: dict[str, Any] = {"contact": contact, "observation": observation, **LANDINGS, "episode_steps": 120}
     same: Any = {"autoreset_mode": AutoresetMode.SAME_STEP}
     native = JackInBoxVectorEnv(2, with_infos=True, **same, **settings)
     sync = SyncVectorEnv([lambda: made(**settings)] * 2, **same)

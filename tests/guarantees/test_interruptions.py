@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +33,10 @@ INTERRUPTS = int(os.environ.get("JACKBOX_INTERRUPTS", "500"))
 ACTIONS = np.array([-0.5, 0.3, 1.0])
 
 
-def made(contact: str = "exact", num_envs: int = 3) -> JackInBoxVectorEnv:
+def made(contact: str = "exact", num_envs: int = 3, **settings: Any) -> JackInBoxVectorEnv:
     """Environments of which every step ends the episode and draws another scene."""
-    randomize = {"gravity": (1.0, 9.0)}
-    env = JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, randomize=randomize)
+    settings["randomize"] = {"gravity": (1.0, 9.0)}
+    env = JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, **settings)
     env.reset(seed=0)
     return env
 
@@ -76,10 +77,12 @@ def interrupted(call: Callable[[], Any], lines: int) -> bool:
     return False
 
 
-@pytest.mark.parametrize("contact", ["exact", "pymunk"])
-@pytest.mark.parametrize("name", CALLS)
-def test_a_call_interrupted_at_any_line_changes_nothing_or_all(contact: str, name: str) -> None:
-    begun, call, lines, results = made(contact), CALLS[name], 0, [0, 0]
+@pytest.mark.parametrize(
+    ("contact", "observation", "name"),
+    [*product(["exact", "pymunk"], ["state"], CALLS), ("exact", "pixels-16x16x2", "step")],
+)
+def test_a_call_interrupted_at_any_line_changes_nothing_or_all(contact: str, observation: str, name: str) -> None:
+    begun, call, lines, results = made(contact, observation=observation), CALLS[name], 0, [0, 0]
     begun.step(ACTIONS)
     done = copy.deepcopy(begun)
     call(done)

@@ -75,7 +75,9 @@ TASK = instance(
 changed: Any = replace  # to values of wrong types
 SEEN = jackbox_env.Observation(("height",), -1.0, 1.0, lambda scene, state, time: (state.y_jack,))
 OBSERVATION = instance(
-    "landing", "text", "empty_text", unknown=out("pixel", "'pixel'", "'state'", "'landing'"),
+    "landing", "text", "empty_text", unknown=out("pixel", "'pixel'", "'state'", "'landing'", "'pixels'"),
+    small=out("pixels-15x84x1", "size", "16", "(15, 84)", named="Pixels"),
+    deep=out("pixels-84x36x36", "stack", "35", "36", named="Pixels"),
     plain_function=wrong(SEEN.values, "jackbox_env.Observation"), no_names=out(changed(SEEN, names=()), "names", "()"),
     same_names=out(changed(SEEN, names=("a", "a")), "names", "('a', 'a')"),
     infinite=out(changed(SEEN, high=math.inf), "high", "finite", "inf"),
@@ -428,6 +430,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], Kinds]] = [
     (JackInBoxEnv, SETTINGS),
     (JackInBoxVectorEnv, {**OF_VECTORS, "autoreset_mode": MODES}),
     (make_sb3_vec_env, OF_VECTORS),
+    (jackbox_env.Pixels, {"size": size((84, 84), 16, 4096), "stack": whole(1, 1, 83)}),
     (drawn, {"randomize": DRAWN}),
     (jackbox_env.rollout, ROLLOUT),
     (jackbox_env.linearize, {**LINEARIZING, "steps": Argument(None, {})}),

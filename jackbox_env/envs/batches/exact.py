@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.batches.scenes import SceneTable
 from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
 from jackbox_env.exact import restart, run, score, workspace
 from jackbox_env.exact.compiler import address_of, compiled
@@ -21,7 +22,7 @@ from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
 from jackbox_env.model.observation import STATE, bad_observation
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, Flags, Floats, Indices
+from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
@@ -38,6 +39,7 @@ class Present(NamedTuple):
     scenes: SceneTable
     last: tuple[Array, Array | None] | None = None  # blocks before the last step, and its actions
     starts: Starts | None = None  # the last ones, until generators and scenes have them
+    past: Past | None = None  # what pictures show, if those are observed
 
 
 class ExactBatch:
@@ -77,11 +79,12 @@ class ExactBatch:
         width = min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
         self._count, blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
         several = len(scenes) > 1 or randomize is not None
-        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt))
+        past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
+        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
         by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
-        ranges = len(blocks) if num_threads else num_envs // _FEWEST_PER_THREAD
+        ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
         self._calls: list[Call] | None = None
@@ -92,7 +95,7 @@ class ExactBatch:
 
     def _compile(self) -> None:
         """Compile the functions that the loop calls by their address, and store them as long as it may."""
-        task, observation, action = self._nouns
+        task, observation, action, _ = self._nouns
         plain = action is ACTIONS["torque"]
         scorer = compiled_for(task, score.score_block)
         observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
@@ -192,7 +195,7 @@ class ExactBatch:
             TaskError: a number of an observation is NaN.
         """
         numbers, words, scenes, states, times = starts
-        blocks, table, last, _ = self._present._replace(blocks=self._copied()) if after is None else after
+        blocks, table, last, _, past = self._present._replace(blocks=self._copied()) if after is None else after
         if scenes is None:
             rows = table.rows(numbers)
         elif isinstance(scenes, list):
@@ -209,8 +212,9 @@ class ExactBatch:
                 blocks[block, :, lane] = 0.0
                 blocks[block, :12, lane] = states
             blocks[block, workspace.TIME, lane] = 0.0 if times is None else times
-        self._observe(rows, blocks, numbers, observations)
-        return Present(blocks, table, last, starts)
+        past = past and past.begun(numbers, _states(blocks, self._count))
+        self._observe(rows, blocks, numbers, observations, past)
+        return Present(blocks, table, last, starts, past)
 
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand."""
@@ -221,7 +225,8 @@ class ExactBatch:
         over = blocks[block, workspace.OVER, lane] != 0.0
         for row in (workspace.STEPS, workspace.DECISIONS, workspace.OVER):
             blocks[block[over], row, lane[over]] = 0.0
-        self.take(self._present._replace(blocks=blocks))
+        past = self._present.past and self._present.past.begun(np.flatnonzero(chosen), states)
+        self.take(self._present._replace(blocks=blocks, past=past))
 
     def _copied(self) -> Array:
         """A copy of the blocks in spare memory."""
@@ -248,7 +253,7 @@ class ExactBatch:
         self._generators[numbers] = words
         if scenes is not None:
             present.scenes.put(numbers, scenes)
-        self._present = Present(present.blocks, present.scenes, present.last)
+        self._present = Present(present.blocks, present.scenes, present.last, None, present.past)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -257,10 +262,14 @@ class ExactBatch:
             TaskError: a number of an observation is NaN.
         """
         self._settle()
-        self._observe(self._present.scenes.rows(numbers), self._present.blocks, numbers, observations)
+        present = self._present
+        self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.past)
 
-    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Floats) -> None:
+    def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, past: Past | None) -> None:
         """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
+        if past is not None:
+            past.draw(rows, numbers, observations, self._threads)
+            return
         bad = compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations)
         if bad >= 0:
             raise self._bad_observation(observations[bad], bad)
@@ -314,19 +323,21 @@ class ExactBatch:
         """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
         self._settle()
         count, halt, steps, present = self._count, Halt(), self._repeat.steps, self._present
-        terms, numbers = len(self._nouns.task.terms), len(self._nouns.observation.names)
+        terms, past = len(self._nouns.task.terms), present.past
         filled = Results(
-            np.empty((count, numbers), dtype=np.float32), np.zeros((1, count)), np.zeros(count if steps > 1 else 0),
-            np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
+            NOTHING.observations if past else self._nouns.unfilled(count), np.zeros((1, count)),
+            np.zeros(count if steps > 1 else 0), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
             np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
         )  # fmt: skip
+        if past and steps > 1:
+            filled = filled._replace(trajectories=np.empty((count, steps + 1, 12)))
         scenes = self._scenes_of_steps(int(actions is not None), steps)
         controls = _NO_ACTIONS if actions is None else actions
         before = present.blocks.copy() if steps > 1 else present.blocks  # several steps overwrite it
         spare, calls, packed = self._spare, self._calls, self._packed
         self._spare = self._calls = None
         spare = np.zeros_like(before) if spare is None else spare
-        if calls is None or packed is not scenes:
+        if calls is None or packed is not scenes or filled.trajectories.size:
             calls = self._new_calls() if calls is None else calls
             for call in calls:
                 call.prepare(scenes, self._rules, before, spare, controls, filled)
@@ -365,9 +376,15 @@ class ExactBatch:
         durations[:] = made * self._dt  # faster than np.full
         infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
         rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
+        observations, scenes, past = filled.observations, self._present.scenes, self._present.past
+        if past is not None:
+            observations, everyone = self._nouns.unfilled(self._count), np.arange(self._count)
+            moved = filled.trajectories[:, 1:] if filled.trajectories.size else _states(after, self._count)[:, None]
+            past = past.after(moved, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
+            past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
-            filled.observations, rewards, filled.terminations, filled.truncations, infos, finished,
-            Present(after, self._present.scenes, (self._present.blocks, actions)),
+            observations, rewards, filled.terminations, filled.truncations, infos, finished,
+            Present(after, scenes, (self._present.blocks, actions), None, past),
         )  # fmt: skip
 
     def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:

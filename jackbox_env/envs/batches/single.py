@@ -205,8 +205,7 @@ class SingleBatch:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
         count, going = len(self._envs), np.flatnonzero(~self._present.over).tolist()
-        shape = (count, len(self._nouns.observation.names))
-        observations, rewards = np.zeros(shape, dtype=np.float32), np.zeros(count)
+        observations, rewards = self._nouns.unfilled(count), np.zeros(count)
         infos = blank(self._nouns.task.terms if self._with_infos else None, count)
         chosen = [None] * count if actions is None else self._as_singles(actions, going)
         after = self._changing()

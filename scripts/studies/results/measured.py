@@ -44,6 +44,8 @@ STARTS = 32
 
 SEEDS = (0, 1, 2, 3, 4)  # of trainings
 BARE_STEPS = 2_000_000  # control steps of a bare training
+PIXELS = "pixel ppo"  # PPO on pictures of juggle
+PICTURES = TrainSettings.suited(observation="pixels-48x48x4")
 
 # Scenes that two trainings are tried in: the shipped one on the default scene, and one on scenes that vary.
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.7)
@@ -102,6 +104,17 @@ def policy_row(runs: str, task: str, contact: str, policy: str, episodes: int) -
     settings = EnvSettings(task=task, contact=contact)
     figures = bare(runs, settings, episodes) if policy == BARE else played(policy, settings, episodes)
     return {"task": task, "contact": contact, **figures, "commit": versions()["commit"], "machine": machine()}
+
+
+def of_pixels(runs: str, contact: str, episodes: int) -> dict[str, Any]:
+    """Returns on juggle of one training that observes pictures, its computing time, and the seconds it took."""
+    run = trained_once(Path(runs) / "pixels-juggle", PICTURES)
+    settings = EnvSettings(contact=contact)
+    acting = find_policy(str(run), settings)
+    figures = _evaluated(PIXELS, acting, settings.env_settings, episodes)
+    figures |= {"milliseconds": milliseconds(acting, settings), "drive": None, **read_json(run / TIME)}
+    of = {"task": PICTURES.task, "contact": contact}
+    return {**of, **figures, "commit": versions()["commit"], "machine": machine()}
 
 
 def played(policy: str, settings: EnvSettings, episodes: int) -> dict[str, Any]:

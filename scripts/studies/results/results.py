@@ -58,6 +58,8 @@ def trials(arguments: Arguments) -> study.Trials:
     for restitution, mass in product(these.RESTITUTIONS, these.MASSES):
         scene = {"restitution": restitution, "jack_mass": mass}
         every.append({"part": "across", "runs": runs, "scene": scene, "episodes": arguments.across_episodes})
+    for contact in these.CONTACTS:
+        every.append({"part": "pixels", "runs": runs, "contact": contact, "episodes": arguments.episodes})
     return [*every, {"part": "spin_bound", "episodes": arguments.episodes}]
 
 
@@ -66,7 +68,8 @@ def trials(arguments: Arguments) -> study.Trials:
 
 def filled(record: study.Record) -> dict[str, Any]:
     """The numbers of docs/results.md."""
-    best = {(row["task"], row["policy"]): row for row in record["rows"] if row["contact"] == "exact"}
+    rows = [*record["rows"], *record["pixels"]]
+    best = {(row["task"], row["policy"]): row for row in rows if row["contact"] == "exact"}
     earned = {task: {name: row["mean"] for (of, name), row in best.items() if of == task} for task in TRAINED}
     drives = [(task, best[task, "best chirp"]["drive"]) for task in TRAINED]
     fast = 2.0 * Scene().speed_scale
@@ -77,7 +80,8 @@ def filled(record: study.Record) -> dict[str, Any]:
         "seed": these.SEED,
         "resamples": these.RESAMPLES,
         "episodes": [best["juggle", policy]["episodes"] for policy in ("zero", "planner")],
-        "rows": {task: _table([row for row in record["rows"] if row["task"] == task]) for task in TRAINED},
+        "rows": {task: _table([row for row in rows if row["task"] == task]) for task in TRAINED},
+        "pixels": {**vars(these.PICTURES), "minutes": record["pixels"][0]["processor_seconds"] / 60.0},
         "tried": len(these.chirps()),
         "upright": these.best_upright(),
         "bare_steps": these.BARE_STEPS,
@@ -92,8 +96,8 @@ def filled(record: study.Record) -> dict[str, Any]:
             [(task, f"{d['amplitude']:,.0f}", f"{d['start_frequency']:g}", f"{d['rate']:g}") for task, d in drives],
         ),
         **_across(record["across"]),
-        "commits": ", ".join(sorted({row["commit"] for row in record["rows"]})),
-        "machines": "; ".join(sorted({row["machine"] for row in record["rows"]})),
+        "commits": ", ".join(sorted({row["commit"] for row in rows})),
+        "machines": "; ".join(sorted({row["machine"] for row in rows})),
         "trained": _trained(record["learning"]),
     }
 
@@ -188,7 +192,13 @@ def draw(record: study.Record, folder: Path) -> None:
 
 STUDY = study.Study(
     "results",
-    {"learning": these.learning, "rows": these.policy_row, "across": these.in_scene, "spin_bound": these.spin_bound},
+    {
+        "learning": these.learning,
+        "rows": these.policy_row,
+        "across": these.in_scene,
+        "pixels": these.of_pixels,
+        "spin_bound": these.spin_bound,
+    },
     filled,
     Arguments,
     trials,

@@ -50,6 +50,7 @@ BATCH_TASK = "the same, a task of one's own"
 POLES, POOL = "CartPole-v1, 1,024, Gymnasium's own", "CartPole-v1, 1,024, EnvPool"
 FEW = "JackInBox-v0, pymunk, 16"
 SB3, DUMMY = "`make_sb3_vec_env`, exact, 16", "`DummyVecEnv`, exact, 16"
+PICTURES, BY_PYGAME = "the same, pictures of 84 x 84", "frames of 84 x 84 of one environment by pygame"
 BATCH_256, SB3_256 = "JackInBox-v0, exact, 256", "`make_sb3_vec_env`, exact, 256"
 TOGETHER = 1024  # environments in a batch
 
@@ -98,9 +99,9 @@ def one(env_id: str, seconds: float, **settings: Any) -> Timed:
     return repeat(block, seconds, clock=time.process_time)
 
 
-def frames(env_id: str, seconds: float) -> Timed:
+def frames(env_id: str, seconds: float, **settings: Any) -> Timed:
     """Frames per second of ``rgb_array`` in the middle of an episode."""
-    env = gym.make(env_id, render_mode="rgb_array")
+    env = gym.make(env_id, render_mode="rgb_array", **settings)
     env.reset(seed=0)
     for _ in range(40):
         env.step(env.action_space.sample())
@@ -213,6 +214,7 @@ def together(seconds: float) -> dict[str, Timed]:
         BATCH_SCENES: vector_env("JackInBox-v0", TOGETHER, scene=jacks(TOGETHER), **exact),
         BATCH_DRAWN: vector_env("JackInBox-v0", TOGETHER, randomize={"jack_mass": (2.0, 6.0)}, **exact),
         BATCH_TASK: vector_env("JackInBox-v0", TOGETHER, task=Task(("lift",), lift), **exact),
+        PICTURES: vector_env("JackInBox-v0", TOGETHER, observation="pixels", **exact),
         BATCH_256: vector_env("JackInBox-v0", 256, **exact),
         SB3_256: make_sb3_vec_env(256, contact="exact"),
         POLES: vector_env("CartPole-v1", TOGETHER),
@@ -230,7 +232,8 @@ def together(seconds: float) -> dict[str, Timed]:
         UNGUARDED: unguarded(physics),
         MATRICES: rolled(TOGETHER, SHORT, seconds, run=matrices),
         PULLED: rolled(TOGETHER, SHORT, seconds, run=pulled),
-        **{name: many(env, seconds) for name, env in batches.items()},
+        **{name: many(env, seconds, 5 if name == PICTURES else EPISODE) for name, env in batches.items()},
+        BY_PYGAME: frames("JackInBox-v0", seconds, render_size=(84, 84)),
     }
 
 

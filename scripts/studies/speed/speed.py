@@ -34,6 +34,7 @@ RATIOS = {
         "batch under the chirp over the same under actions": (these.BATCH_CHIRP, these.BATCH),
         "batch with a scene for each environment over one scene for all": (these.BATCH_SCENES, these.BATCH),
         "batch with jacks drawn at each reset over one scene for all": (these.BATCH_DRAWN, these.BATCH),
+        "batch with pictures of 84 x 84 over frames of one environment by pygame": (these.PICTURES, these.BY_PYGAME),
         "batch with a task of one's own over the built-in one": (these.BATCH_TASK, these.BATCH),
         "batch over Gymnasium's own CartPole-v1": (these.BATCH, these.POLES),
         "batch over EnvPool's CartPole-v1": (these.BATCH, these.POOL),

@@ -1,0 +1,243 @@
+"""Observations that are pictures: what they show, of which moments, and that nobody else's array changes them."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Pixels, Scene
+from jackbox_env.envs.batches.threads import Threads
+from jackbox_env.envs.past import Past
+from jackbox_env.render import raster
+from jackbox_env.sb3 import make_sb3_vec_env
+from tests.batches.several import EVERY_MODEL
+
+Picture = NDArray[Any]
+FINER = 6  # points of a pixel along each side, of a picture by sampling
+# Angle of the box; the jack's centre on its axes [m] and its angle relative to it.
+POSES = [(0.0, 0.0, 0.0, 0.3), (0.4, 2.0, -1.0, 2.5), (-2.9, -3.5, 3.0, -1.2), (1.3, 0.5, 4.4, 4.0)]
+
+
+def state_of(pose: tuple[float, ...], centre: complex = 3.0 - 700.0j) -> list[float]:
+    """A state at rest with this pose, the box's centre somewhere."""
+    angle, x, y, relative = pose
+    jack = centre + complex(x, y) * complex(math.cos(angle), math.sin(angle))
+    return [centre.real, centre.imag, angle, jack.real, jack.imag, angle + relative, *[0.0] * 6]
+
+
+def sampled(pose: tuple[float, ...], size: tuple[int, int], scene: Scene) -> Picture:
+    """A picture by the class's description, from whether points are within a mark, not from distances to an edge."""
+    angle, x, y, relative = pose
+    _, _, half, wall, greatest = raster.view_of(size, 0j).tolist()
+    columns, rows = (np.arange(side * FINER) / FINER + 0.5 / FINER - 0.5 * side for side in size)
+    points = (columns[None] - 1j * rows[:, None]) * complex(math.cos(angle), -math.sin(angle))  # on the box's axes
+    picture = np.zeros(points.shape)
+    outer = np.maximum(abs(points.real), abs(points.imag))
+    picture[(outer > half) & (outer < half + wall)] = 120.0
+    picture[(points.real > half) & (outer < half + wall)] = 200.0
+    scale = half / scene.box_half_width
+    arm, jack = scale * scene.jack_arm, scale * complex(x, y)
+    radius = min(max(0.25 * arm, 1.0), greatest)
+    on_jack = (points - jack) * complex(math.cos(relative), -math.sin(relative))
+    for along, across in ((on_jack.real, on_jack.imag), (on_jack.imag, on_jack.real)):
+        picture[(abs(along) < arm) & (abs(across) < 0.5 * radius)] = 90.0
+    for foot, shade in ((3, 160.0), (2, 160.0), (1, 160.0), (0, 255.0)):
+        picture[abs(on_jack - arm * 1j**foot) < radius] = shade
+    whole: Picture = picture.reshape(size[1], FINER, size[0], FINER).mean(axis=(1, 3))
+    return whole
+
+
+@pytest.mark.parametrize("size", [(84, 84), (60, 90), (200, 128)])
+@pytest.mark.parametrize("pose", POSES)
+def test_a_picture_shows_box_and_jack_where_they_are(pose: tuple[float, ...], size: tuple[int, int]) -> None:
+    env = JackInBoxEnv(observation=Pixels(size))
+    env.set_state(state_of(pose))
+    assert env.observation.shape == (size[1], size[0], 1)
+    difference = env.observation[..., 0] - sampled(pose, size, env.scene)
+    assert abs(difference).mean() < 0.7
+    assert abs(difference).max() < 75.0  # at corners and ends, which are round
+    turned = sampled((pose[0] + math.pi / 2.0, *pose[1:]), size, env.scene)
+    assert abs(env.observation[..., 0] - turned).mean() > 1.4 * abs(difference).mean() + 0.4
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_picture_determines_the_jacks_pose_and_the_boxs_angle(pose: tuple[float, ...]) -> None:
+    """Found from the picture alone, by pictures of other poses."""
+    env = JackInBoxEnv(observation="pixels")
+    env.set_state(state_of(pose))
+    picture, size = env.observation[..., 0].astype(float), (84, 84)
+
+    def unlike(guess: Any) -> float:
+        return float(np.square(picture - drawn(env.scene, [state_of(tuple(guess))], size)[..., 0]).mean())
+
+    angle = min(np.arange(-math.pi, math.pi, 0.04), key=lambda angle: unlike((angle, 0.0, 30.0, 0.0)))
+    rows, columns = np.mgrid[:84, :84]
+    scale = raster.view_of(size, 0j)[2] / 6.0
+    world = (columns - 41.5 - 1j * (rows - 41.5)) / scale  # of each pixel [m]
+    points = world * complex(math.cos(angle), -math.sin(angle))
+    inside = np.maximum(abs(points.real), abs(points.imag)) < 5.6
+    jack = np.average(points[inside], weights=picture[inside])
+    first = points[np.unravel_index(np.argmax(np.where(inside, picture, 0.0)), picture.shape)]
+    guess = [angle, jack.real, jack.imag, float(np.angle(first - jack))]
+    for steps in (0.08, 0.02):
+        simplex = np.vstack([guess, guess + steps * np.diag([1.0, 3.0, 3.0, 5.0])])
+        guess = minimize(unlike, guess, method="Nelder-Mead", options={"initial_simplex": simplex}).x
+    errors = np.array(guess) - pose
+    assert abs(math.remainder(errors[0], math.tau)) < 0.01
+    assert np.hypot(errors[1], errors[2]) < 0.05
+    assert abs(math.remainder(errors[3], math.tau)) < 0.1
+
+
+# -- the moments -------------------------------------------------------------------------------------------------------
+
+
+def drawn(scene: Scene, states: list[Any], size: tuple[int, int]) -> Picture:
+    """Pictures of states one by one, side by side in channels."""
+    frames = np.empty((len(states), size[1], size[0], 1), np.uint8)
+    past = Past(Pixels(size), np.array(states)[:, None, :6])
+    past.draw(np.array([scene.numbers]), np.arange(len(states)), frames, Threads(1))
+    return np.moveaxis(frames[..., 0], 0, -1)
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize(("repeat", "stack"), [(1, 4), (3, 2), (2, 5), ("bounce", 3)])
+def test_pictures_are_of_the_last_control_steps(contact: str, repeat: Any, stack: int) -> None:
+    env = JackInBoxEnv(contact=contact, observation=Pixels((30, 24), stack), action_repeat=repeat)
+    seen, info = env.reset(seed=1)
+    states, struck = [info["state"]] * stack, 0
+    np.testing.assert_array_equal(seen, drawn(env.scene, states[-stack:], (30, 24)))
+    for number in range(12 if repeat == "bounce" else 90 // repeat):
+        seen, _, _, _, info = env.step(0.2 * (-1) ** number)
+        struck += info["impacts"]
+        states += [step.state for step in env.control_steps]
+        np.testing.assert_array_equal(seen, drawn(env.scene, states[-stack:], (30, 24)))
+        np.testing.assert_array_equal(env.observation, seen)
+    assert struck
+    assert (seen[..., 0] != seen[..., -1]).any()
+    env.set_state(states[0])
+    np.testing.assert_array_equal(env.observation, drawn(env.scene, states[:stack], (30, 24)))
+
+
+@EVERY_MODEL
+def test_set_states_and_masked_resets_begin_only_the_pictures_of_the_chosen(contact: str) -> None:
+    batch = JackInBoxVectorEnv(3, contact=contact, observation=Pixels((24, 24), 2))
+    batch.reset(seed=0)
+    for _ in range(5):
+        seen = batch.step(np.full((3, 1), 0.5))[0]
+    assert (seen[..., 0] != seen[..., 1]).any(axis=(1, 2)).all()
+    chosen = np.array([False, True, False])
+    batch.set_states(batch.states, 0.1, chosen)
+    np.testing.assert_array_equal(batch.observations[~chosen], seen[~chosen])
+    np.testing.assert_array_equal(batch.observations[1, ..., 0], seen[1, ..., 1])
+    np.testing.assert_array_equal(batch.observations[1, ..., 1], seen[1, ..., 1])
+    again, _ = batch.reset(seed=9, options={"reset_mask": ~chosen})
+    np.testing.assert_array_equal(again[1], batch.observations[1])
+    np.testing.assert_array_equal(again[0, ..., 0], again[0, ..., 1])
+
+
+@EVERY_MODEL
+def test_a_refused_step_changes_no_picture(contact: str) -> None:
+    batch = JackInBoxVectorEnv(2, contact=contact, observation=Pixels((24, 24), 2), action_repeat=2)
+    batch.reset(seed=0)
+    batch.step(np.ones((2, 1)))
+    before = batch.observations
+    with pytest.raises(ValueError, match="nan"):
+        batch.step(np.array([[0.5], [math.nan]]))
+    np.testing.assert_array_equal(batch.observations, before)
+
+
+# -- arrays, copies, threads -------------------------------------------------------------------------------------------
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("duplicate", [lambda one: pickle.loads(pickle.dumps(one)), copy.deepcopy])
+def test_copies_go_on_alike_and_share_no_array(contact: str, duplicate: Callable[[Any], Any]) -> None:
+    pixels = Pixels((24, 24), 3)
+    single, batch = (
+        JackInBoxEnv(contact=contact, observation=pixels), JackInBoxVectorEnv(2, contact=contact, observation=pixels)
+    )  # fmt: skip
+    for env, action in ((single, 0.5), (batch, np.full((2, 1), 0.5))):
+        env.reset(seed=3)
+        env.step(action)
+        twin = duplicate(env)
+        results = []
+        for one in (env, twin):
+            seen = one.step(action)[0]
+            first = seen.copy()
+            seen[:] = 7  # the caller's own
+            results += [first, one.step(action)[0]]
+        np.testing.assert_array_equal(results[:2], results[2:])
+        assert (results[1] != 7).any()
+
+
+def test_threads_do_not_change_pictures() -> None:
+    scenes = [Scene(jack_arm=0.5 + 0.01 * number) for number in range(70)]
+    batches = [
+        JackInBoxVectorEnv(70, contact="exact", scene=scenes, observation=Pixels((64, 50), 2), num_threads=threads)
+        for threads in (1, 3, None)
+    ]
+    for batch in batches:
+        batch.reset(seed=0)
+    seen = [[batch.step(np.full((70, 1), 0.4))[0] for _ in range(4)] for batch in batches]
+    for others in seen[1:]:
+        np.testing.assert_array_equal(others, seen[0])
+    alone = JackInBoxEnv(contact="exact", scene=scenes[-1], observation=Pixels((64, 50), 2))
+    alone.reset(seed=69)
+    for step in range(4):
+        np.testing.assert_array_equal(alone.step(0.4)[0], seen[0][step][-1])
+
+
+# -- anything that may come --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(16, 16), (16, 400), (301, 17)])
+@pytest.mark.parametrize(("half_width", "arm"), [(1e-25, 0.2), (6.0, 1.41), (1e25, 1e-9)])
+@pytest.mark.parametrize("away", [0.0, 30.0, 1e300])
+def test_any_size_anywhere_is_drawn(size: tuple[int, int], half_width: float, arm: float, away: float) -> None:
+    scene = Scene(box_half_width=half_width, jack_arm=arm * half_width)
+    states = [[*[away] * 2, 1e18, *[-away] * 2, 3e9, *[0.0] * 6], [*[away] * 2, 0.7, *[away] * 2, 0.1, *[0.0] * 6]]
+    lost, near = np.moveaxis(drawn(scene, states, size), -1, 0)
+    assert (lost.max() > 210) == (away < half_width)  # else its jack is out of the picture
+    assert near.max() > 210
+    assert np.count_nonzero(near) < 0.75 * near.size
+
+
+def test_a_weightless_scene_of_another_size_is_drawn_alike() -> None:
+    """Ten times as large in space: the same picture."""
+    small, large = Scene(gravity=0.0, box_half_width=0.6, jack_arm=0.1), Scene(gravity=0.0)
+    at = np.array(state_of(POSES[1], 0j))
+    at[[0, 1, 3, 4]] *= 0.1
+    np.testing.assert_array_equal(drawn(small, [at], (50, 50)), drawn(large, [state_of(POSES[1], 0j)], (50, 50)))
+
+
+def test_names_stand_for_sizes_and_pass_through_json() -> None:
+    env: Any = gym.make("JackInBox-v0", observation="pixels-40x36x3")
+    assert env.observation_space == gym.spaces.Box(0, 255, (36, 40, 3), np.uint8)
+    again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.observation_space == env.observation_space
+    assert gym.make("JackInBox-v0", observation="pixels").observation_space.shape == (84, 84, 1)
+    assert [Pixels().name, Pixels((40, 36), 3).name] == ["pixels", "pixels-40x36x3"]
+    assert pickle.loads(pickle.dumps(Pixels((40, 36), 3))) == Pixels([40, 36], np.int64(3))  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("error:.*image")
+def test_stable_baselines3_takes_them_for_pictures() -> None:
+    pixels = Pixels((36, 40), 4)
+    check_env(JackInBoxEnv(fidelity="exact", observation=pixels))
+    envs = make_sb3_vec_env(4, fidelity="exact", observation=pixels)
+    model = PPO("CnnPolicy", envs, n_steps=8, batch_size=16, n_epochs=1, device="cpu")
+    before = copy.deepcopy(model.policy.state_dict())
+    model.learn(32)
+    assert model.policy.observation_space.shape == (4, 40, 36)
+    assert any((before[name] != weight).any() for name, weight in model.policy.state_dict().items())
