@@ -68,8 +68,10 @@ def falls(recording: Recording, scene: Scene) -> Array:
         begins = recording.time + times[:-1]
         torques = np.array([0.5 * sum(scene.drive.torque_means(begin, recording.dt)) for begin in begins.tolist()])
     if torques is not None:
-        rates = np.append(0.0, np.cumsum(torques)) * recording.dt / scene.box_inertia
-        added[1:, THETA_BOX] = -np.cumsum(0.5 * (rates[1:] + rates[:-1])) * recording.dt
+        parts = torques.size // (len(times) - 1)  # of a step, each with a torque
+        dt = recording.dt / parts
+        rates = np.append(0.0, np.cumsum(torques)) * dt / scene.box_inertia
+        added[1:, THETA_BOX] = -np.cumsum(0.5 * (rates[1:] + rates[:-1]))[parts - 1 :: parts] * dt
     return added
 
 
