@@ -111,7 +111,7 @@ def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
 
 def test_energy_that_comes_from_nowhere_is_seen() -> None:
     class Heater(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(state=result.state * np.where(np.arange(12) == 9, 1.001, 1.0))
 
@@ -129,14 +129,14 @@ def test_energy_that_comes_from_nowhere_is_seen() -> None:
 class Ghost(ExactSimulator):
     """Flies through walls and keeps its energy."""
 
-    def stepped(self, dt: float, torque: float | None) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
         return StepResult(np.array(flown(self.scene, self.state.tolist(), self.time, dt, torque)), self.time + dt)
 
 
 class Coward(ExactSimulator):
     """Gives up at walls."""
 
-    def stepped(self, dt: float, torque: float | None) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
         result = super().stepped(dt, torque)
         if result.impacts:
             raise JackLostError("the jack would leave the box")
@@ -214,7 +214,7 @@ def test_quantities_are_plain_numbers() -> None:
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     class Nervous(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(impacts=(*result.impacts, Impact(result.time - 0.001, 3, 3, 1.0)))
 
