@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.envs.scoring import Functions

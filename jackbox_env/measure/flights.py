@@ -204,8 +204,8 @@ class Impacts(NamedTuple):
 
 def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Impacts:
     """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity."""
-    near = flights.first[1:] - flights.last[:-1] <= _CLOSE
-    near = np.flatnonzero(near & (flights.lasting[1:] | flights.lasting[:-1]))
+    close = flights.first[1:] - flights.last[:-1] <= _CLOSE
+    near = np.flatnonzero(close & (flights.lasting[1:] | flights.lasting[:-1]))
     before, after, dt = flights.lines[near], flights.lines[near + 1], recording.dt
     change = (after - before)[:, _JACK] / noise[_JACK, None]
     times = -(change[:, :, 0] * change[:, :, 1]).sum(axis=1) / np.maximum((change[:, :, 1] ** 2).sum(axis=1), 1e-300)
