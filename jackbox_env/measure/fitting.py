@@ -127,7 +127,7 @@ class _Search:
 
     def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
         self._progress = progress  # a bar of tqdm
-        self._given, self._parameters, self._known_noise = recordings, parameters, known_noise
+        self._recorded, self._parameters, self._known_noise = recordings, parameters, known_noise
         self._units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self._units, 1.0))
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
@@ -210,13 +210,13 @@ class _Search:
         """Take back windows that the model explains by now: from the ends of those before them, or from flights."""
         before = {(window.recording, window.last): window for window in self._windows}
         for window in sorted(self._left_out, key=lambda one: (one.recording, one.first)):
-            previous, own = before.get((window.recording, window.first)), window.start
+            previous, start = before.get((window.recording, window.first)), window.start
             if previous is not None:
                 recording = self._recordings[window.recording]
                 window.start = end_state(recording, previous, self._parameters, self._numbers)
             explained = self._fit_alone(window)
             if not explained and previous is not None:
-                window.start = own
+                window.start = start
                 explained = self._fit_alone(window)
             if explained:
                 self._left_out.remove(window)
@@ -308,7 +308,7 @@ class _Search:
             for name, value in guess.values.items() if guess else ():
                 best[name] = min(best.get(name, value), value, key=lambda one: one[1])
         deviations = np.array([best.get(name, (0.0, np.inf))[1] for name in fields])
-        self._guessed_width = 3.0 * deviations
+        self._first_width = 3.0 * deviations
         sure = {name: best[name][0] for name, deviation in zip(fields, deviations, strict=True) if deviation < _SURE}
         if "restitution" in sure:
             sure["restitution"] = min(sure["restitution"], 1.0)
@@ -334,7 +334,7 @@ class _Search:
         explained = self._explained([window])
         if not explained:
             mean, width = self._prior([window])
-            width[: len(numbers)], width[len(numbers) :] = self._guessed_width, _PRIOR_FLIGHT_WIDTH
+            width[: len(numbers)], width[len(numbers) :] = self._first_width, _PRIOR_FLIGHT_WIDTH
             self._solve(Shooting(self._recordings, self._parameters, [window], (mean, width)), _LINK_SLACKS[0], most=20)
             explained = self._explained([window])
         self._numbers = numbers
@@ -542,7 +542,7 @@ class _Search:
             for row, off in sorted(rows.items()):
                 column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
                 away = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
-                lost = (self._given[number].states[row, [X_JACK, Y_JACK]] == 0.0).all()
+                lost = (self._recorded[number].states[row, [X_JACK, Y_JACK]] == 0.0).all()
                 yield f"row {row}{recording}: {'x_jack and y_jack are 0, as of a lost frame' if lost else away}"
 
     def _not_followed(self) -> tuple[int, float]:

@@ -128,8 +128,8 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
     straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    found = _zeros_of(recording, scene)
-    straight[[*found]] = np.nan
+    spikes = _zeros_of(recording, scene)
+    straight[[*spikes]] = np.nan
     rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
@@ -146,9 +146,9 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
         peaks = (score > _SPIKE * np.maximum(1.0, np.median(around, axis=1))) & (score >= around[:, 2:5].max(axis=1))
         if not peaks.any():
             break
-        found.update(zip(rows[peaks].tolist(), off[peaks] * noise[_JACK], strict=True))
+        spikes.update(zip(rows[peaks].tolist(), off[peaks] * noise[_JACK], strict=True))
         rows = rows[~peaks]
-    return found
+    return spikes
 
 
 def _zeros_of(recording: Recording, scene: Scene) -> dict[int, Array]:
@@ -229,8 +229,8 @@ def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Ar
     """States on lines, (n, 6, 2), at times since the recording's begin [s], (n, 12)."""
     added, rows = falls(recording, scene), np.arange(len(recording.states)) * recording.dt
     both = np.concatenate([added, np.gradient(added, recording.dt, axis=0)], axis=1)
-    taken = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
-    states: Array = np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - taken
+    offsets = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
+    states: Array = np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - offsets
     return states
 
 
@@ -259,11 +259,11 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     origin = impacts.states[:, 0].copy()
     origin[:, X_BOX : Y_BOX + 1] = 0.0
     gaps, gradients = contacts_of(scene, origin, impacts.walls, impacts.feet)
-    normals, place = gradients[:, :2], impacts.straight[:, 0]
+    normals, positions = gradients[:, :2], impacts.straight[:, 0]
     beyond = scene.box_half_width - gaps - (normals * origin[:, X_JACK : Y_JACK + 1]).sum(axis=1)  # of the foot
     lengths = [name for name in ("jack_arm", "box_half_width") if name in fields]
     by_length = {"jack_arm": beyond / scene.jack_arm, "box_half_width": np.full(len(gaps), -1.0)}
-    equations = [normals, normals * impacts.times[:, None], -(normals * place).sum(axis=1)[:, None]]
+    equations = [normals, normals * impacts.times[:, None], -(normals * positions).sum(axis=1)[:, None]]
     equations += [-by_length[name][:, None] for name in lengths]
     scale = float(np.hypot(noise[X_JACK], scene.jack_arm * noise[THETA_JACK]))
     rows, known = [np.concatenate(equations, axis=1) / scale], [-gaps / scale]
@@ -288,7 +288,7 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     ratio = float(max(solved[4], 1e-9))
     guess = Guess({}, solved[:2], solved[2:4], ratio)
     states = guess.with_centre(
-        impacts.states, place[:, None], impacts.straight[:, 1:], np.column_stack([impacts.times] * 2)
+        impacts.states, positions[:, None], impacts.straight[:, 1:], np.column_stack([impacts.times] * 2)
     )
     for name, by, deviation in zip(lengths, solved[5:], deviations[5:], strict=True):
         value = getattr(scene, name) + float(by)
@@ -312,9 +312,9 @@ def starts_of(recording: Recording, scene: Scene, flights: Flights, guess: Guess
         flights.lines[[*flights.spans]],
     )
     straight = lines[:, X_JACK : Y_JACK + 1]
-    place = straight[:, :, 0] + straight[:, :, 1] * times[:, None]
+    positions = straight[:, :, 0] + straight[:, :, 1] * times[:, None]
     states = state_on(recording, scene, lines, times)
-    return guess.with_centre(states, place, straight[:, :, 1], times)
+    return guess.with_centre(states, positions, straight[:, :, 1], times)
 
 
 def _masses(
@@ -340,10 +340,10 @@ def _robust(rows: Array, known: Array) -> tuple[Array, Array]:
     sizes = np.linalg.norm(rows, axis=0)
     scaled = rows / sizes
     first = np.linalg.lstsq(scaled, known, rcond=None)[0]
-    found = least_squares(lambda x: scaled @ x - known, first, jac=lambda _: scaled, loss="soft_l1", f_scale=2.0)
-    noise = 2.0 * found.cost / max(1, len(known) - len(sizes))
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, noise)
-    return found.x / sizes, np.sqrt(np.diag(covariance)) / sizes
+    solution = least_squares(lambda x: scaled @ x - known, first, jac=lambda _: scaled, loss="soft_l1", f_scale=2.0)
+    noise = 2.0 * solution.cost / max(1, len(known) - len(sizes))
+    covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * max(1.0, noise)
+    return solution.x / sizes, np.sqrt(np.diag(covariance)) / sizes
 
 
 def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:

@@ -104,9 +104,9 @@ def test_a_window_has_states_and_derivatives_at_its_rows() -> None:
     numbers = parameters.of(TRUE)
 
     def moved(by: float) -> Motion:
-        found = motion(recording, Window(0, 2, 40, start=start + by * np.eye(12)[5]), parameters, numbers)
-        assert found is not None
-        return found
+        window = motion(recording, Window(0, 2, 40, start=start + by * np.eye(12)[5]), parameters, numbers)
+        assert window is not None
+        return window
 
     modelled = moved(0.0)
     assert (modelled.smooth, modelled.states.shape, modelled.jacobians.shape) == (38, (39, 12), (39, 12, 13))
