@@ -1,8 +1,9 @@
 """Fit fields of a scene to recordings, with confidence intervals.
 
-``fit`` cuts each recording into windows one after the other (:mod:`jackbox_env.measure.shooting`) and fits each new
-window with the few before it. Then it fits all windows together, while it tightens the links between them and
-estimates the noise. Intervals and problems come from the residuals (:mod:`jackbox_env.measure.residuals`).
+``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.shooting`): between the middles of flights, if these
+determine the fields (:mod:`jackbox_env.measure.flights`), else one after the other, each fitted with the few before it.
+Then it fits all windows together, while it tightens the links between them and estimates the noise, and goes on from
+there to where the jack rests. Intervals and problems come from residuals (:mod:`jackbox_env.measure.residuals`).
 """
 
 from __future__ import annotations
