@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -120,13 +121,22 @@ def fit(
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        return _Search(list(several), parameters, known_noise(noise), bar).fit()
+        search = _Search(list(several), parameters, known_noise(noise), bar)
+        estimate = search.fit()
+        if not estimate.converged and search.between_flights:
+            with suppress(ValueError):  # no part agrees
+                other = _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
+                estimate = other if other.converged else estimate
+        return estimate
 
 
 class _Search:
     """One fit: its windows, and the present values of the fields' numbers and of the noise."""
 
-    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
+    def __init__(
+        self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any,
+        from_start: bool = False,
+    ) -> None:  # fmt: skip
         self._progress = progress  # a bar of tqdm
         self._recorded, self._parameters, self._known_noise = recordings, parameters, known_noise
         self._units = units(parameters.start)
@@ -134,18 +144,23 @@ class _Search:
         self._noise = np.where(np.isfinite(known_noise), known_noise, rough)
         self._bad_rows = [spikes_of(one, parameters.start, self._noise) for one in recordings]
         self._recordings = [one.without(rows) for one, rows in zip(recordings, self._bad_rows, strict=True)]
-        self._flights = [flights_of(one, parameters.start, self._noise) for one in self._recordings]
+        from_start = from_start or "gravity" in parameters.fields  # flights need it
+        self._flights = [
+            None if from_start else flights_of(one, parameters.start, self._noise) for one in self._recordings
+        ]
         self._observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self._block = _BLOCK if self._observed.all() else _INCOMPLETE_BLOCK
         self._windows: list[Window] = []
         self._resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
         self._left_out: list[Window] = []  # that the model does not explain
         self._fewest = 0  # windows that stay
+        self.between_flights = False  # whether windows are cut between flights
         self._numbers = parameters.of(parameters.start)
 
     def fit(self) -> Fit:
         """Cut the recordings into windows, then fit all windows together."""
         guesses = self._guess()
+        self.between_flights = any(guess is not None for guess in guesses)
         for number, recording in enumerate(self._recordings):
             before, guess = len(self._windows), guesses[number]
             if guess is not None:
