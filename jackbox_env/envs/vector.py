@@ -380,7 +380,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
         Raises:
             TypeError, ValueError: an argument out of its range.
-            gymnasium.error.DependencyNotInstalled: pygame is missing.
+            gymnasium.error.DependencyNotInstalled: pygame is missing, which draws tiles from 400 pixels up.
         """
         count = min(check.whole("first", first, at_least=1, at_most=1024), self.num_envs)
         size = check.size("size", size, at_least=16, at_most=1024)

@@ -138,7 +138,7 @@ WITHOUT = [
     "import scripts.train; scripts.train.main()",
     "import scripts.evaluate; scripts.evaluate.main()",
     "gymnasium.make('JackInBox-v0', render_mode='rgb_array')",
-    "jackbox_env.JackInBoxVectorEnv(2).tiled()",
+    "jackbox_env.JackInBoxVectorEnv(2).tiled(size=(512, 512))",
 ]
 
 
