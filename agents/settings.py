@@ -293,7 +293,7 @@ class TrainSettings(EnvSettings):
     @property
     def pixels(self) -> Pixels | None:
         """The pictures that the networks observe; None: they observe numbers. Raises as ``env_settings``."""
-        return seen_of(self.nouns["observation"])[1]
+        return seen_of(with_objects({"observation": self.observation})["observation"])[1]
 
     @property
     def nouns(self) -> dict[str, Any]:

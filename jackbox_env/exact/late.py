@@ -16,9 +16,10 @@ AGAIN = Status.FULL, Status.UNCOMPILED  # ends of a call that goes on with :func
 
 
 def with_all(workspaces: Workspaces) -> Workspaces:
-    """The same workspaces, with the addresses of all that is compiled later."""
-    workspaces["rest"] = address_of(compiled(settle_and_advance), rest_at)
-    workspaces["together"] = address_of(compiled(bounce_together), together_at)
+    """The same workspaces, with the addresses of all that is compiled later; uncompiled, it needs none."""
+    rest, together = compiled(settle_and_advance), compiled(bounce_together)
+    if rest is not settle_and_advance:
+        workspaces["rest"], workspaces["together"] = address_of(rest, rest_at), address_of(together, together_at)
     return workspaces
 
 

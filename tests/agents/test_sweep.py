@@ -162,7 +162,7 @@ def test_folders_are_not_shared_overwritten_or_continued_by_other_code(
         ("""--train {"action_repeat":[4]}""", "train accepts only"),
         ("""--train {} --setting {"action_repeat":0}""", "action_repeat must be a whole number"),
         ("""--setting {"observation":"landing"}""", "setting must have no observation for level"),
-        ("""--setting {"observation":"sea"}""", "observation must be one of 'state', 'landing', got 'sea'"),
+        ("""--setting {"observation":"sea"}""", "observation must be one of 'state', 'landing', 'pixels', got 'sea'"),
         ("""--train {} --policy zero""", "--policy"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --seeds 3", "--resume"),

@@ -34,7 +34,7 @@ def test_a_function_is_compiled_once_whatever_numbers_its_callers_write() -> Non
     late.with_all(new_workspaces())
     inner = [one for (_, inner), one in compiler._compilation((), True)._twins.items() if inner]
     signatures = [str(signature) for one in inner for signature in getattr(one, "overloads", {})]
-    assert len(signatures) > 20
+    assert signatures  # of what is compiled in this process; more without a code cache
     assert not [signature for signature in signatures if "Literal" in signature]
 
 
