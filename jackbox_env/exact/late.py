@@ -7,6 +7,8 @@ call is then repeated from there, with the same bits.
 
 from __future__ import annotations
 
+from types import FunctionType
+
 from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.contact import bounce_together, together_at
 from jackbox_env.exact.rest import rest_at, settle_and_advance
@@ -18,7 +20,7 @@ AGAIN = Status.FULL, Status.UNCOMPILED  # ends of a call that goes on with :func
 def with_all(workspaces: Workspaces) -> Workspaces:
     """The same workspaces, with the addresses of all that is compiled later; uncompiled, it needs none."""
     rest, together = compiled(settle_and_advance), compiled(bounce_together)
-    if rest is not settle_and_advance:
+    if not isinstance(rest, FunctionType):
         workspaces["rest"], workspaces["together"] = address_of(rest, rest_at), address_of(together, together_at)
     return workspaces
 
