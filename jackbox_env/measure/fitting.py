@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -121,13 +120,19 @@ def fit(
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        search = _Search(list(several), parameters, known_noise(noise), bar)
-        estimate = search.fit()
-        if not estimate.converged and search.between_flights:
-            with suppress(ValueError):  # no part agrees
-                other = _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
-                estimate = other if other.converged else estimate
-        return estimate
+        estimate, search = None, _Search(list(several), parameters, known_noise(noise), bar)
+        try:
+            estimate = search.fit()
+            if estimate.converged or not search.between_flights:
+                return estimate
+            other = _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
+        except ValueError:  # no part agrees
+            if estimate is None and search.between_flights:
+                return _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
+            if estimate is None:
+                raise
+            return estimate
+        return other if other.converged else estimate
 
 
 class _Search:
@@ -153,7 +158,7 @@ class _Search:
         self._windows: list[Window] = []
         self._resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
         self._left_out: list[Window] = []  # that the model does not explain
-        self._fewest = 0  # windows that stay
+        self._fewest = 1  # windows that stay
         self.between_flights = False  # whether windows are cut between flights
         self._numbers = parameters.of(parameters.start)
 
@@ -165,29 +170,29 @@ class _Search:
             before, guess = len(self._windows), guesses[number]
             if guess is not None:
                 self._cut_between(number, guess)
+            if len(self._windows) == before:
+                self._left_out = [window for window in self._left_out if window.recording != number]
             if len(self._windows) == before and number:
                 self._cut(number, state_at(recording))
             elif len(self._windows) == before:
                 self._cut_first()
-        if not self._windows:
-            noise = ", or the noise, which may be larger than given" * bool(np.isfinite(self._known_noise).any())
-            raise ValueError(
-                "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
-                f"{noise}, or whether the jack moves"
-            )
+        self._refuse_nothing()
         self._progress.reset(total=len(_LINK_SLACKS) + 2)
         self._progress.set_description("fitting")
         self._settle(_LINK_SLACKS[0])
         self._leave_out_bad_rows()
         self._without_misfits(_LINK_SLACKS[0], len(self._windows))
         self._resume()
+        self._refuse_nothing()
         for slack in _FIRST_SLACKS:
             self._settle(slack)
         self._resume()
         self._go_on()
         self._settle(_LINK_SLACKS[0])
         self._without_misfits(_LINK_SLACKS[0], len(self._windows))
-        self._fewest = len(self._windows) - max(_MAY_DROP, math.floor(_MOST_DROPPED * len(self._windows)))
+        self._refuse_nothing()
+        count = len(self._windows)
+        self._fewest = max(1, count - max(_MAY_DROP, math.floor(_MOST_DROPPED * count)))
         for slack in (*_LINK_SLACKS, _LINK_SLACKS[-1]):
             ended = self._settle(slack)
             if self._without_misfits(slack, len(self._windows) - self._fewest):
@@ -197,6 +202,15 @@ class _Search:
             self._estimate_noise(chain)
             self._progress.update()
         return self._result(chain, ended)
+
+    def _refuse_nothing(self) -> None:
+        """ValueError if there are no windows."""
+        if not self._windows:
+            noise = ", or the noise, which may be larger than given" * bool(np.isfinite(self._known_noise).any())
+            raise ValueError(
+                "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
+                f"{noise}, or whether the jack moves"
+            )
 
     def _settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
@@ -509,6 +523,9 @@ class _Search:
         if (gaps > _WIDEST_JUMP).any():
             open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in self._windows)} links"
             yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
+        followed_ones = {window.recording for window in self._windows}
+        for number in [one for one in range(len(self._recordings)) if one not in followed_ones]:
+            yield f"no part of recording {number} agrees with the scene"
         links, (joints, skipped) = sum(one.linked for one in self._windows), self._not_followed()
         if 2 * links < joints:
             yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
@@ -552,14 +569,18 @@ class _Search:
         return parameters.fields[furthest], float(moves[furthest])
 
     def _bad_row_sentences(self) -> Iterator[str]:
-        """The rows that were left out, and how far the jack is off there."""
-        for number, rows in enumerate(self._bad_rows):
+        """The rows that were left out, and how far the jack is off; not rows that agree with the fitted motion."""
+        for number, (rows, states) in enumerate(zip(self._bad_rows, self._motions()[0], strict=True)):
+            recorded, noise = self._recorded[number].states, self._noise[X_JACK:RATES]
             recording = f" of recording {number}" * (len(self._bad_rows) > 1)
             for row, off in sorted(rows.items()):
-                column = X_JACK + int(np.nanargmax(abs(off) / self._noise[X_JACK:RATES]))
-                away = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
-                lost = (self._recorded[number].states[row, [X_JACK, Y_JACK]] == 0.0).all()
-                yield f"row {row}{recording}: {'x_jack and y_jack are 0, as of a lost frame' if lost else away}"
+                away = abs(recorded[row] - states[row])[X_JACK:RATES] / noise
+                if np.isfinite(away).any() and not (away > _FAR).any():
+                    continue
+                column = X_JACK + int(np.nanargmax(abs(off) / noise))
+                distance = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
+                lost = (recorded[row, [X_JACK, Y_JACK]] == 0.0).all()
+                yield f"row {row}{recording}: {'x_jack and y_jack are 0, as of a lost frame' if lost else distance}"
 
     def _not_followed(self) -> tuple[int, float]:
         """How many windows should be linked to the next one, and the time in none though the jack moves there [s]."""
@@ -568,7 +589,7 @@ class _Search:
             missing = np.isnan(modelled[1:, X_JACK])
             if flights is None:
                 joints += sum(window.recording == number for window in self._windows) - 1
-                steps = int(missing.sum()) - self._resting_steps[number]
+                steps = max(0, int(missing.sum()) - self._resting_steps[number])
             else:
                 joints += sum(one[1] == other[0] for one, other in pairwise(flights.spans.values()))
                 steps = sum(int(missing[first:last].sum()) for first, last in flights.spans.values())
