@@ -174,3 +174,18 @@ def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
         assert fitted.scene.jack_mass == pytest.approx(lossy.jack_mass, rel=0.02)
         assert fitted.scene.restitution == pytest.approx(lossy.restitution, abs=0.01)
     assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=1e-4)
+
+
+def test_a_recording_of_which_nothing_agrees_is_a_problem_and_counts_no_window_twice() -> None:
+    junk, noise = np.full((40, 12), np.nan), np.tile([3e-4, 3e-4, 4e-3], 4)
+    junk[:, :6] = np.random.default_rng(1).normal(0.0, 0.1, (40, 6))
+    fitted = fit([filmed(LAB), Recording(junk, np.zeros(39), 1.0 / RATE)], FIELDS, LAB, noise=noise)
+    assert any(one.startswith("no part of recording ") for one in fitted.problems), fitted.problems
+    assert fitted.left_out >= 39
+    assert fitted.unexplained >= 0.0
+
+
+def test_rows_that_agree_with_the_fitted_motion_are_no_bad_rows() -> None:
+    elastic = LAB.changed(restitution=1.0)
+    for seed in range(3):
+        assert fit(filmed(elastic, seed=seed), FIELDS, elastic).bad_rows == ()
