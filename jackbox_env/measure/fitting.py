@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -120,19 +121,19 @@ def fit(
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        estimate, search = None, _Search(list(several), parameters, known_noise(noise), bar)
+        arguments = list(several), parameters, known_noise(noise), bar
+        search = _Search(*arguments)
         try:
             estimate = search.fit()
-            if estimate.converged or not search.between_flights:
-                return estimate
-            other = _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
         except ValueError:  # no part agrees
-            if estimate is None and search.between_flights:
-                return _Search(list(several), parameters, known_noise(noise), bar, from_start=True).fit()
-            if estimate is None:
+            if not search.between_flights:
                 raise
-            return estimate
-        return other if other.converged else estimate
+            return _Search(*arguments, from_start=True).fit()
+        if search.between_flights and not estimate.converged:
+            with suppress(ValueError):
+                other = _Search(*arguments, from_start=True).fit()
+                return other if other.converged else estimate
+        return estimate
 
 
 class _Search:
@@ -172,10 +173,10 @@ class _Search:
                 self._cut_between(number, guess)
             if len(self._windows) == before:
                 self._left_out = [window for window in self._left_out if window.recording != number]
-            if len(self._windows) == before and number:
-                self._cut(number, state_at(recording))
-            elif len(self._windows) == before:
-                self._cut_first()
+                if number:
+                    self._cut(number, state_at(recording))
+                else:
+                    self._cut_first()
         self._refuse_nothing()
         self._progress.reset(total=len(_LINK_SLACKS) + 2)
         self._progress.set_description("fitting")

@@ -36,7 +36,7 @@ from jackbox_env.model.states import (
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)
-LEAST_ROWS = 4  # of a flight that is used
+_LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _ELSEWHERE = 0.05  # half widths
 _LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
@@ -53,7 +53,7 @@ class Flights(NamedTuple):
     last: Indices  # row, in the flight
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
-    scatter: Array  # standard deviations of these lines at the middle of a flight and of their slopes, (n, 2)
+    scatter: Array  # standard deviation of these lines at the middle of a flight, in the noise's, (n,)
     # Steps from the middle of a lasting flight to that of the next one, by the flight's index; only if the next one
     # follows after an impact or a short hop, else the jack rests in between or its bounces pile up.
     spans: dict[int, tuple[int, int]]
@@ -81,24 +81,23 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
         return None
     straight = recording.states[:, :RATES] + falls(recording, scene)
     rows = np.flatnonzero(np.isfinite(straight[:, _JACK]).all(axis=1))
-    if len(rows) < 0.5 * len(straight) or len(rows) < 2 * LEAST_ROWS:
+    if len(rows) < 0.5 * len(straight) or len(rows) < 2 * _LEAST_ROWS:
         return None
     times = rows * recording.dt
     first = _merged(times, straight[rows, _JACK] / noise[_JACK])
     ends = np.append(first[1:], len(rows))
     least = shortest(recording, scene, noise)
     lasting = times[ends - 1] - times[first] >= least
-    enough = ends - first >= LEAST_ROWS
+    enough = ends - first >= _LEAST_ROWS
     first, ends = first[enough], ends[enough]
-    lines, scatter = np.full((len(first), RATES, 2), np.nan), np.zeros((len(first), 2))
+    lines, scatter = np.full((len(first), RATES, 2), np.nan), 1.0 / np.sqrt(ends - first)
     for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
         within = slice(begin, end)
         off = times[within] - times[within].mean()
-        scatter[index] = 1.0 / np.sqrt(end - begin), 1.0 / np.sqrt((off**2).sum())
         for column in range(RATES):
             values = straight[rows[within], column]
             known = np.isfinite(values)
-            if known.sum() >= LEAST_ROWS:
+            if known.sum() >= _LEAST_ROWS:
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
     first, last, lasting = rows[first], rows[ends - 1], lasting[enough]
@@ -116,7 +115,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
-    """Duration [s] from which a flight is told from rest: its fall is known to a sixth, from rows at even times."""
+    """Duration [s] of a flight whose rows give its acceleration to a sixth; what is shorter may be rest."""
     fall = max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
     spread = 180.0 * (_FALLING * noise[Y_JACK] / fall) ** 2 * recording.dt
     return max(_LASTING, float(spread**0.2))
@@ -273,7 +272,7 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
         seen = np.isfinite(at[:, axis])
         block = np.zeros((int(seen.sum()), rows[0].shape[1]))
         block[:, axis], block[:, 2 + axis], block[:, 4] = 1.0, middle[seen], -at[seen, X_JACK + axis]
-        deviations = noise[axis] * flights.scatter[seen, :1]
+        deviations = noise[axis] * flights.scatter[seen, None]
         rows.append(block / deviations)
         known.append(at[seen, axis] / deviations[:, 0])
     size, ratio = scene.box_half_width, scene.jack_mass / scene.box_mass
