@@ -1,4 +1,4 @@
-"""The answers of docs/lesson.md are those of the exact model."""
+"""The answers of docs/answers.md are those of the exact model, and its sheet has the same questions."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from jackbox_env import Impact, make_simulator
+from jackbox_env.mechanics import gaps
 from jackbox_env.recording.game import Game, read_game
+from scripts.studies.baselines import threshold
 from tests.states import Array
 
-LESSON = (Path(__file__).parents[1] / "docs" / "lesson.md").read_text()
-LINKS = re.findall(r"""<a target="play" href='play.html#([^']*)'>""", LESSON)
-DROP, LOSS, SPIN, WEDGE, LEANING, NEARER, WEIGHTLESS = map(read_game, LINKS)
+DOCS = Path(__file__).parents[1] / "docs"
+LESSON = (DOCS / "answers.md").read_text()
+LINKS = re.findall("""<a href='play.html#([^']*)'>""", LESSON)
+DROP, LOSS, SPIN, AGAIN, WEDGE, LEANING, NEARER, SPUN, WEIGHTLESS, LIGHT, LASTING = map(read_game, LINKS)
 
 
 def played(game: Game, seconds: float) -> tuple[Array, list[Impact]]:
@@ -34,6 +37,7 @@ def test_a_drop() -> None:
     assert f"{-states[60:150, 4].max():.2f} m below its start" in LESSON
     assert (states[:, 4] - states[:, 1]).max() == 0.0
     assert f"\n{-states[-1, 1]:.2f} m. Gravity" in LESSON
+    assert AGAIN.start.tolist() == DROP.start.tolist()
 
 
 def test_restitution_of_a_half() -> None:
@@ -42,12 +46,15 @@ def test_restitution_of_a_half() -> None:
     np.testing.assert_allclose(flights[:6], impacts[0].time * 0.5 ** np.arange(6))
     assert f"= {impacts[0].time:.2f} s. The flight" in LESSON
     assert f"= {3.0 * impacts[0].time:.2f} s. Then" in LESSON
+    (_, early), (_, late) = played(LASTING, 9.0), played(LASTING, 9.1)
+    assert f"= {9.0 * impacts[0].time:.2f} s: the flights" in LESSON
+    assert early[-1].time < 9.0 * impacts[0].time < late[-1].time + 0.02
 
 
 def test_a_spin() -> None:
     states, impacts = played(SPIN, 1.02)
     assert len(impacts) == 1
-    assert f"with {states[50, 11]:.0f} rad/s.\nIt arrives at {-states[50, 10]:.0f} m/s" in LESSON
+    assert f"with {states[50, 11]:.0f} rad/s. It arrives at\n{-states[50, 10]:.0f} m/s" in LESSON
     assert f"At {states[51, 10]:.0f} m/s upwards, with {states[51, 11]:.0f} rad/s left" in LESSON
 
 
@@ -76,3 +83,37 @@ def test_without_gravity() -> None:
     np.testing.assert_allclose(energy, 112.0)
     np.testing.assert_allclose(momentum, [[24.0, 16.0]] * len(states))
     np.testing.assert_allclose(angular, 8.0)
+
+
+def test_the_usual_program_pulls_the_jack_down_and_loses_it() -> None:
+    program = threshold.Model(SPUN.scene.changed(drive=None), substeps=1)
+    program.reset(SPUN.start)
+    impacts = list[Impact]()
+    while program.time < 3.545:
+        program.step(0.01)
+        impacts += program.impacts
+    bounce, pull = impacts[-2:]
+    assert f"foot bounces off the floor at {bounce.time:.2f} s. At {pull.time:.2f} s another foot" in LESSON
+    assert bounce.wall == pull.wall == 3
+    assert bounce.foot != pull.foot
+    assert f"an impulse of \N{MINUS SIGN}{-pull.impulse:.0f} N s. At {program.time:.2f} s" in LESSON
+    assert f" a foot is\n{-gaps(program.scene, program.state).min():.1f} m below the floor" in LESSON
+    assert len(played(SPUN, 3.5)[1]) < len(impacts)
+
+
+def test_a_light_box() -> None:
+    states, impacts = played(LIGHT, 1.2)
+    assert len(impacts) == 1
+    fell = 9.81 * impacts[0].time
+    assert f"At {-states[-1, 7]:.2f} m/s: " in LESSON
+    assert f"jack's {fell:.2f} m/s" in LESSON
+    same, _ = played(LIGHT._replace(scene=LIGHT.scene.changed(box_mass=4.0, box_inertia=None)), 1.1)
+    np.testing.assert_allclose([-same[-1, 7], same[-1, 10]], [fell, -9.81 * (1.1 - impacts[0].time)])
+
+
+def test_the_sheet_has_the_six_questions_alone() -> None:
+    sheet = (DOCS / "sheet.md").read_text()
+    titles = re.findall("^## (.*)", LESSON, re.MULTILINE)[:6]
+    assert re.findall("^## (.*)", sheet, re.MULTILINE) == titles
+    for number in range(1, 7):
+        assert f':start-after: "<!-- question {number} -->"\n:end-before: "<!-- answer {number} -->"' in sheet

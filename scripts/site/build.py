@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import subprocess
 import sys
 from functools import cache
@@ -46,6 +47,8 @@ GOALS = {
 COMPARED = {"level": "keeps the box level", "ppo": "trained agent (A)", "planner": "planner (searches ahead)"}
 # Sliders: label, unit, ends.
 SLIDERS = {
+    "torque_limit": {"label": "torque limit", "unit": "N m", "least": 900.0, "most": 900000.0, "logarithmic": True},
+    "box_mass": {"label": "box's mass", "unit": "kg", "least": 4.0, "most": 4000.0, "logarithmic": True},
     "jack_mass": {"label": "jack's mass", "unit": "kg", "least": 0.4, "most": 400.0, "logarithmic": True},
     "jack_arm": {"label": "jack's arm", "unit": "m", "least": 0.2, "most": 8.4},
     "restitution": {"label": "restitution", "unit": "", "least": 0.0, "most": 1.0},
@@ -108,7 +111,8 @@ def _described() -> dict[str, Any]:
         "values": list(scene.numbers), "torqueLimit": SceneNumbers._fields.index("torque_limit"),
         "seed": [str(word) for word in seeded(0)[:4].tolist()], "startTolerance": START_TOLERANCE,
         "fields": {name: {**_field(scene, name), **slider} for name, slider in SLIDERS.items()},
-        "inertia": _field(scene, "jack_inertia"), "tasks": {name: _task(name) for name in TASKS},
+        "inertias": {name: _field(scene, name) for name in ("box_inertia", "jack_inertia")},
+        "lesson": _lesson(), "tasks": {name: _task(name) for name in TASKS},
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"], "halfWidth": scene.box_half_width,
         "timeScale": scene.box_half_width / scene.speed_scale, "speedScale": scene.speed_scale,
     }  # fmt: skip
@@ -132,6 +136,14 @@ def _refused(name: str, value: float) -> str:
     except ValueError as error:
         return str(error).replace(str(value), "{}")
     raise AssertionError(f"{name} = {value} is accepted")
+
+
+def _lesson() -> list[dict[str, str]]:
+    """The questions of docs/answers.md: title, question and answer in HTML, in which scenes are links to their texts."""
+    part = r"^## (?:\d\. )?([^\n]+)\n\n<!-- question (\d) -->\n(.*?)<!-- answer \2 -->\n(.*?)<!-- end \2 -->$"
+    text = (ROOT / "docs" / "answers.md").read_text(encoding="utf-8").replace("play.html#", "#")
+    questions = re.findall(part, text, re.MULTILINE | re.DOTALL)
+    return [{"title": title, "question": asked, "answer": answered} for title, _, asked, answered in questions]
 
 
 def _task(name: str) -> dict[str, Any]:

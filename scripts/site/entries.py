@@ -14,7 +14,7 @@ from numba.np.arrayobj import get_cfarray_intrinsic
 from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.rest import settle_and_advance
-from jackbox_env.exact.restart import ARM, JACK_INERTIA, JACK_MASS, restart_blocks
+from jackbox_env.exact.restart import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK_INERTIA, JACK_MASS, restart_blocks
 from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
@@ -34,7 +34,7 @@ SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 PARTS = {
     "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
     "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
-    "GAP": 1,
+    "GAP": 1, "RESTING": 1,
 }  # fmt: skip
 
 
@@ -43,13 +43,16 @@ IMPACTS_AT = -(-sum(PARTS.values()) // AT_IMPACT) * AT_IMPACT  # rows of the log
 LENGTH = IMPACTS_AT + AT_IMPACT * MOST_IMPACTS
 (
     SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY, SHARE, ACTION,
-    STEPS, SEPARATED, GAP,
+    STEPS, SEPARATED, GAP, RESTING,
 ) = OFFSETS.values()  # fmt: skip
 array: Any = get_cfarray_intrinsic("C", None)  # type: ignore[no-untyped-call]  # numba's carray, which would want its runtime
 
 
 def step(buffer: Any, workspace: Any) -> None:
-    """Step BEFORE to AFTER by DT [s], under TORQUE [N m] or, if KIND is ``step.CHIRP``, the scene's chirp."""
+    """Step BEFORE to AFTER by DT [s], under TORQUE [N m] or, if KIND is ``step.CHIRP``, the scene's chirp.
+
+    The last RESTING of its HITS are feet at rest.
+    """
     d, memory = array(buffer, (LENGTH,)), array(workspace, (1,))[0]
     log = array(buffer, (LENGTH // AT_IMPACT, AT_IMPACT))[IMPACTS_AT // AT_IMPACT :]
     scene, none = make_numbers(d[SCENE_AT : SCENE_AT + SCENE]), Pieces(array(buffer, (0, TABLE_WIDTH)), 0, 0)
@@ -60,6 +63,9 @@ def step(buffer: Any, workspace: Any) -> None:
     )
     status, d[MEAN_TORQUE] = step_once(scene, params, before, after, d[TIME], d[TORQUE], none, memory, log)
     d[STATUS], d[HITS], d[IMPULSE] = status.value, memory.hits, memory.impulse
+    d[RESTING] = 0.0
+    for pair in range(16 if memory.held.holding > 0 else 0):
+        d[RESTING] += memory.held.resting[pair] > 0.0
 
 
 def bounce_several(scene: SceneNumbers, memory: Workspace, count: int) -> bool:
@@ -99,8 +105,9 @@ def start(buffer: Any, numbers: Any, words: Any) -> None:
 
 
 def derive(buffer: Any) -> None:
-    """Set the jack's inertia that follows from its mass and arm."""
+    """Set the inertias that follow from masses and sizes."""
     d = array(buffer, (LENGTH,))
+    d[SCENE_AT + BOX_INERTIA] = square_inertia(d[SCENE_AT + BOX_MASS], d[SCENE_AT + HALF_WIDTH])
     d[SCENE_AT + JACK_INERTIA] = square_inertia(d[SCENE_AT + JACK_MASS], d[SCENE_AT + ARM])
 
 

@@ -6,13 +6,14 @@ const BASIS = 0xcbf29ce484222325n; // of the digest, FNV-1a
 const PRIME = 0x100000001b3n;
 
 const physics = await loadPhysics(unpacked(data.module, Uint8Array), data);
-const [main, preview] = [physics.makeBuffer(), physics.makeBuffer()]; // for whole steps, and for parts of a step
-const agents = Object.fromEntries(
+const buffers = [physics.makeBuffer(), physics.makeBuffer(), physics.makeBuffer()];
+const [main, preview, rival] = buffers; // for whole steps, for parts of a step, and for the ghost's steps
+const [agents, ghosts] = [main, rival].map((buffer) => Object.fromEntries(
   Object.entries(data.tasks).map(([task, { agent }]) => {
     const weights = Float32Array.from(unpacked(agent.weights, Int16Array), (weight) => weight * agent.scale);
-    return [task, main.agent({ ...agent, weights })];
+    return [task, buffer.agent({ ...agent, weights })];
   }),
-);
+));
 const game = {}; // `begin` fills it in
 const at = (row, column) => rows[row][column];
 
@@ -35,17 +36,19 @@ function sampleAt(time, into) {
   return into;
 }
 
-function begin(task, fields, dt, start, recorded = null) {
-  for (const one of [main, preview]) one.setScene(valuesOf(fields));
+// `recorded`: a shared game to replay. `ghost`: whom to play against, { shares } of a shared game or of null, the agent.
+function begin(task, fields, dt, start, recorded = null, ghost = null) {
+  for (const one of buffers) one.setScene(valuesOf(fields));
   data.arm = main.scene[data.fields.jack_arm.index];
   data.knock = 2 * main.scene[data.fields.jack_mass.index] * data.speedScale; // the impulse of a hard impact [N s]
   const state = typeof start[0] === "string" ? main.start(start.map(BigInt)) : Float64Array.from(start, (number) => number + 0); // no -0, which JSON does not keep
-  for (const one of [main, preview]) one.place(state, dt, task);
+  for (const one of buffers) one.place(state, dt, task);
   Object.assign(game, {
     task, fields, dt, start, recorded, state, time: 0, open: null, lost: false, acted: false, assisted: false,
-    differs: 0, shares: [], checks: [], digest: BASIS, sum: 0, scored: 0, hits: 0, energy: preview.number("ENERGY"),
+    differs: 0, shares: [], checks: [], digest: BASIS, sum: 0, scored: 0, hits: 0, resting: false,
+    energy: preview.number("ENERGY"), ghost: ghost && { shares: ghost.shares, state, scored: 0 },
   });
-  agents[task].restart();
+  for (const one of [agents, ghosts]) one[task].restart();
   const row = new Float64Array(WIDTH);
   row.set(state, 1);
   [rows, impacts, COUNT, START, END] = [[row], [], 1, 0, KEPT];
@@ -56,8 +59,11 @@ function openStep(share) {
   const torque = share === null ? null : share * main.scene[data.torqueLimit];
   game.lost = !main.step(game.state, game.time, game.dt, torque);
   if (game.lost) return;
-  const [next, count, hits] = [main.after.slice(), main.number("HITS"), main.impacts(FLASHES)];
-  game.open = { time: game.time, state: game.state, next, share, torque, count, reward: main.reward(game.task) };
+  const [next, resting] = [main.after.slice(), main.number("RESTING") > 0];
+  const count = main.number("HITS") - main.number("RESTING"); // of impacts; feet at rest come after them
+  const hits = main.impacts(Math.min(FLASHES, count));
+  game.open = { time: game.time, state: game.state, next, share, torque, count, resting, reward: main.reward(game.task) };
+  if (game.ghost && !game.ghost.over) openGhostStep(game.ghost);
   const moments = [0.25, 0.5, 0.75, 1].map((part) => ({ since: part * game.dt }));
   let [last, impulse] = [0, 0]; // the impulse of the torque since then [N m s]
   for (const moment of [...moments, ...hits].sort((a, b) => a.since - b.since)) {
@@ -77,16 +83,37 @@ function openStep(share) {
   }
 }
 
+function openGhostStep(ghost) {
+  const share = ghost.shares ? ghost.shares[game.shares.length] : ghosts[game.task]();
+  ghost.torque = share === null ? null : share * main.scene[data.torqueLimit];
+  ghost.over = share === undefined || !rival.step(ghost.state, game.time, game.dt, ghost.torque);
+  Object.assign(ghost, { next: rival.after.slice(), reward: rival.reward(game.task) });
+}
+
+// The ghost's 12 numbers at a time of the present step, or null: there is none, or its game is over.
+function ghostAt(time) {
+  const { open, ghost } = game;
+  if (!ghost || ghost.over) return null;
+  if (!open || time <= open.time) return ghost.state;
+  preview.step(ghost.state, open.time, Math.min(time - open.time, game.dt), ghost.torque);
+  return preview.after.slice();
+}
+
 function closeStep() {
-  const { next, share, count, reward } = game.open;
+  const { next, share, count, resting, reward } = game.open;
   for (const word of new BigUint64Array(next.buffer)) game.digest = BigInt.asUintN(64, (game.digest ^ word) * PRIME);
   game.checks.push(Number(game.digest >> 56n));
   const step = game.shares.push(share);
   if (game.recorded && game.recorded.checks[step - 1] !== game.checks[step - 1]) game.differs ||= step;
   game.sum += reward;
   if (step <= SCORED) game.scored = game.sum;
+  if (game.ghost && !game.ghost.over) {
+    game.ghost.state = game.ghost.next;
+    if (step <= SCORED) game.ghost.scored += game.ghost.reward;
+  }
   [game.state, game.time, game.open] = [next, game.time + game.dt, null];
   game.hits += count;
+  game.resting = resting && count === 0;
   START = Math.max(0, game.time - KEPT);
   END = START + KEPT;
   rows = rows.filter((row) => row[0] >= START);
@@ -160,10 +187,11 @@ function checkField(value, { low, high, below, above }) {
   must(value <= high, above.replace("{}", value));
 }
 
-// The jack's inertia in a scene, and how far a foot of a state is outside the box there [m].
+// The bodies' inertias in a scene, and how far a foot of a state is outside the box there [m].
 function inspected(state, fields) {
   preview.setScene(valuesOf(fields));
-  const found = { inertia: preview.scene[data.inertia.index], outside: -preview.gap(state) };
+  const inertias = Object.values(data.inertias).map((field) => [preview.scene[field.index], field]);
+  const found = { inertias, outside: -preview.gap(state) };
   preview.setScene(main.scene);
   return found;
 }
@@ -173,8 +201,8 @@ function checkStart(start, scene) {
   const isDrawn = words && start.length === 4 && start.every((word) => /^\d{1,20}$/.test(word) && BigInt(word) < 1n << 64n);
   const listed = numbers && start.length === 12 && start.every((one) => Math.abs(one) <= data.farthest);
   must(listed || (isDrawn && BigInt(start[3]) & 1n), "start must be 12 numbers within +-1e6, or the 4 words of a generator");
-  const { inertia, outside } = inspected(isDrawn ? new Array(12).fill(0) : start, scene);
-  checkField(inertia, data.inertia);
+  const { inertias, outside } = inspected(isDrawn ? new Array(12).fill(0) : start, scene);
+  for (const [inertia, field] of inertias) checkField(inertia, field);
   if (isDrawn) return;
   must(outside <= data.startTolerance, `a start must have every foot inside the box, got a foot ${outside} m outside`);
 }

@@ -3,18 +3,18 @@
 const READ = 80; // between new numbers [ms]
 const SLOWEST = 50; // computing time of a frame; a slow machine plays slower [ms]
 const RAMP = 0.8; // [s] that a key is held until the torque is at its limit
-const START_HINT = "Tap \u2190 or \u2192, or press here on the left or right. The box keeps turning: tap the other way to stop it.";
+const START_HINT = "Press here or Space. Then \u2190 and \u2192, or a press left or right, turn the box.";
 const SIDES = { ArrowLeft: 1, ArrowRight: -1 };
 const pressed = new Map(); // keys and touches that turn the box: to which side, and whether a step has used them
 const best = {}; // returns of this visit, by task
-const player = { playing: false, agent: false, chirp: false, now: 0, push: 0, since: 0, drawn: null, read: -READ };
+const player = { playing: false, agent: false, chirp: false, ghost: null, now: 0, push: 0, since: 0, drawn: null, read: -READ };
 
 const say = (text) => (byId("message").textContent = text);
 const randomWords = () => Array.from(crypto.getRandomValues(new BigUint64Array(4)), (word, k) => String(k < 3 ? word : word | 1n));
 const changed = () => Object.keys(game.fields).length > 0;
 
 function restart(task, fields, dt, start, recorded = null, shared = true) {
-  begin(task, fields, dt, start, recorded);
+  begin(task, fields, dt, start, recorded, player.ghost);
   game.assisted = shared;
   Object.assign(player, { playing: Boolean(recorded) || player.agent || player.chirp, now: 0, push: 0 });
   byId("task").value = task;
@@ -24,9 +24,11 @@ function restart(task, fields, dt, start, recorded = null, shared = true) {
   showReturns();
 }
 
-// Start again: from a start that was set, if it fits into the scene, else from another one.
+// Start again: from a start that was set, or that of a shared game as a ghost, if it fits into the scene, else from another.
 function again(task = game.task, fields = game.fields) {
-  const repeats = typeof game.start[0] === "number" && inspected(game.start, fields).outside <= data.startTolerance;
+  if (player.ghost?.shares && fields !== game.fields) player.ghost = null; // it played in another scene
+  const listed = typeof game.start[0] === "number" && inspected(game.start, fields).outside <= data.startTolerance;
+  const repeats = listed || Boolean(player.ghost?.shares);
   restart(task, fields, repeats ? game.dt : 0.02, repeats ? game.start : randomWords(), null, repeats);
 }
 
@@ -84,7 +86,8 @@ function endRecord() {
 function showReturns() {
   const others = changed() ? {} : { ...data.tasks[game.task].earned, "your best here": best[game.task] };
   const sorted = Object.entries(others).sort((a, b) => (b[1] ?? -Infinity) - (a[1] ?? -Infinity));
-  const lines = [["return so far", game.scored], ...sorted].map(([name, value]) => {
+  const now = [["return so far", game.scored], ...(game.ghost ? [["the ghost's", game.ghost.scored]] : [])];
+  const lines = [...now, ...sorted].map(([name, value]) => {
     const line = make("tr");
     line.append(make("td", "", name), make("td", "", value === undefined ? "none yet" : fixed(value, value < 100 ? 1 : 0)));
     return line;
@@ -124,20 +127,21 @@ function drawPlots() {
 }
 
 function show(moment) {
-  stage.draw(player.now);
-  const torque = stage.state[COLUMN.torque] / main.scene[data.torqueLimit];
-  byId("gauge").style.transform = `scaleX(${-torque})`; // a torque to the left shows to the left
+  stage.draw(player.now, ghostAt(player.now));
+  const torque = stage.state[COLUMN.torque] / main.scene[data.torqueLimit]; // the chirp's may be beyond 1
+  byId("gauge").style.transform = `scaleX(${Math.max(-1, Math.min(1, -torque))})`; // to the left shows to the left
   if (moment - player.read < READ) return;
   player.read = moment;
   const begun = game.shares.length > 0 || game.open;
   byId("clock").textContent = fixed(player.now, 1);
   byId("hits").textContent = game.hits;
+  byId("rest").hidden = !game.resting;
   byId("torque").textContent = `${fixed(100 * torque, 0)} %`;
-  byId("returns").firstChild.lastChild.textContent = fixed(game.scored, 1);
+  [game, game.ghost].forEach((one, row) => one && (byId("returns").rows[row].lastChild.textContent = fixed(one.scored, 1)));
   const over = player.playing && game.shares.length >= SCORED && game.shares.length < SCORED + 150;
   byId("hint").hidden = !over && (player.playing || game.lost);
   byId("hint").firstChild.textContent = over ? `Return ${fixed(game.scored, 1)}` : begun ? "Paused" : START_HINT;
-  const on = { a: player.agent, c: player.chirp, " ": Boolean(begun) && !player.playing, r: false };
+  const on = { a: player.agent, c: player.chirp, g: Boolean(player.ghost), " ": Boolean(begun) && !player.playing, r: false };
   for (const button of document.querySelectorAll("[data-key]")) button.setAttribute("aria-pressed", on[button.dataset.key]);
   drawPlots();
 }
@@ -155,6 +159,10 @@ function press(key) {
   const name = { a: "agent", c: "chirp" }[key];
   if (key === " ") player.playing = !player.playing;
   else if (key === "r") again();
+  else if (key === "g") {
+    player.ghost = player.ghost ? null : { shares: null };
+    again();
+  }
   else if (name) {
     Object.assign(player, { agent: false, chirp: false, [name]: !player[name] });
     player.playing ||= player[name];
@@ -179,7 +187,7 @@ document.addEventListener("keydown", (event) => {
   const busy = event.target.matches("select, input") || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
   if (busy || (event.key === " " && event.target.matches("button"))) return;
   const key = event.key.toLowerCase();
-  if (!(event.key in SIDES) && !"acr ".includes(key)) return;
+  if (!(event.key in SIDES) && !"acgr ".includes(key)) return;
   event.preventDefault();
   if (event.repeat) return;
   if (event.key in SIDES) turn(event.key, SIDES[event.key]);
@@ -191,7 +199,9 @@ byId("stage").addEventListener("pointerdown", (event) => {
   if (event.button !== 0) return;
   const { left, width } = byId("stage").getBoundingClientRect();
   byId("stage").setPointerCapture(event.pointerId);
-  turn(event.pointerId, event.clientX < left + width / 2 ? 1 : -1);
+  const scene = !byId("question").hidden; // of a question: a press only starts and pauses it
+  if (scene || !player.playing) player.playing = !player.playing;
+  else turn(event.pointerId, event.clientX < left + width / 2 ? 1 : -1);
 });
 for (const end of ["pointerup", "pointercancel"]) byId("stage").addEventListener(end, (event) => release(event.pointerId));
 for (const button of document.querySelectorAll("[data-key]")) {
@@ -224,9 +234,12 @@ for (const [name, field] of Object.entries(data.fields)) {
   byId("sliders").append(label);
 }
 
-function open(text) {
+// Play a game from its text: replay it, or play `against` it.
+function open(text, against = false) {
   try {
     const read = readGame(text);
+    player.ghost = against && read[4];
+    if (against) read[4] = null;
     restart(...read);
     player.playing = Boolean(read[4]);
   } catch (error) {
@@ -249,11 +262,42 @@ byId("share").addEventListener("click", () => {
 });
 byId("sharing").addEventListener("close", () => {
   byId("share").blur(); // so that Space does not open it again
-  if (byId("sharing").returnValue === "play") open(byId("text").value);
+  if (byId("sharing").returnValue) open(byId("text").value, byId("sharing").returnValue === "against");
 });
 byId("copy").addEventListener("click", () => {
   byId("text").select();
   byId("copy").textContent = document.execCommand("copy") ? "Copied" : "Press Ctrl+C";
+});
+
+// -- the lesson: questions, whose links are scenes -----------------------------------------------------------------------
+
+byId("lesson").append(...["none", ...data.lesson.map((one, k) => `${k + 1}. ${one.title}`)].map((title, k) => {
+  return Object.assign(make("option", "", title), { value: k });
+}));
+
+function ask(number) {
+  const asked = data.lesson[number - 1];
+  byId("lesson").value = asked ? number : 0;
+  byId("question").hidden = !asked;
+  if (!asked) return restart("juggle", {}, 0.02, randomWords(), null, false);
+  byId("question").innerHTML = `<h2>${number}. ${asked.title}</h2><p>${asked.question}</p>
+    <details><summary>Answer</summary><p>${asked.answer}</p></details>`;
+  byId("question").querySelector("a").click();
+}
+
+byId("lesson").addEventListener("change", (event) => {
+  ask(Number(event.target.value));
+  event.target.blur();
+});
+byId("question").addEventListener("click", (event) => {
+  const link = event.target.closest("a");
+  if (!link) return;
+  event.preventDefault();
+  Object.assign(player, { agent: false, chirp: false });
+  open(link.getAttribute("href"));
+  player.playing = true;
+  link.blur(); // so that Space pauses
+  byId("stage").scrollIntoView({ block: "nearest" });
 });
 
 readColours();
@@ -265,6 +309,9 @@ const redraw = () => {
   stage.resize();
   player.read = -READ;
 };
+const asked = new URLSearchParams(location.search).get("scene");
+if (asked !== null) ask(data.lesson[Number(asked) - 1] ? Number(asked) : 0);
+if (asked !== null && byId("question").hidden) say(`scene must be from 1 to ${data.lesson.length}, got ${asked}`);
 openLink();
 addEventListener("hashchange", openLink);
 new ResizeObserver(() => requestAnimationFrame(redraw)).observe(byId("stage"));

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import math
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import pytest
 
-from jackbox_env import Scene
+from jackbox_env import Scene, make_simulator
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.recording.game import read_game, write_game
 from scripts.site.build import ensure_page
 from tests.browser import Opened
 
 REST = [0.0] * 12
+ROOT = Path(__file__).parents[2]
 
 
 class Page(Opened):
@@ -168,7 +173,14 @@ def test_a_flat_plot_and_a_shared_start_do_no_harm(opened: Page) -> None:
 def test_a_link_opens_its_scene(browser: Any) -> None:
     fragment = "#" + quote(json.dumps({"version": 1, "start": REST, "scene": {"gravity": 0, "jack_arm": 2.5}}))
     opened = Page(browser, ensure_page(), fragment)
-    assert opened.page.locator("#sliders output").all_inner_texts() == ["4.00 kg", "2.50 m", "1.00", "0.00 m/s²"]
+    assert opened.page.locator("#sliders output").all_inner_texts() == [
+        "90000 N m",
+        "400 kg",
+        "4.00 kg",
+        "2.50 m",
+        "1.00",
+        "0.00 m/s²",
+    ]
     opened.page.keyboard.press("ArrowLeft")
     opened.page.wait_for_timeout(400)
     opened.page.keyboard.press("Space")
@@ -176,9 +188,123 @@ def test_a_link_opens_its_scene(browser: Any) -> None:
     opened.close()
 
 
+# -- the lesson -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["file", "frame"])
+def lesson(request: pytest.FixtureRequest, browser: Any, tmp_path: Path) -> Iterator[Any]:
+    """The page as one file, and in the frame of docs/lesson.md, as wide as the site's text."""
+    if request.param == "file":
+        alone = Page(browser, ensure_page())
+        yield alone.page.main_frame
+        alone.close()
+        return
+    (frame,) = re.findall("<iframe.*</iframe>", (ROOT / "docs" / "lesson.md").read_text())
+    style = (ROOT / "docs" / "_static" / "site.css").read_text()
+    (tmp_path / "play.html").write_bytes(ensure_page().read_bytes())
+    around = f"<!doctype html><style>{style}</style><article style='width: 736px'>{frame}</article>"
+    (tmp_path / "lesson.html").write_text(around + "<div style='height: 2000px'></div>")
+    page = browser.new_page(viewport={"width": 1280, "height": 860})
+    page.goto((tmp_path / "lesson.html").as_uri())
+    yield page.frame_locator("iframe").locator("body").element_handle().owner_frame()
+    page.close()
+
+
+def wait_for(frame: Any, name: str, pattern: str) -> float:
+    """Wait until an output matches; its number then."""
+    output = frame.locator(f"#{name}")
+    output.filter(has_text=re.compile(pattern)).wait_for()
+    return float(output.inner_text().removesuffix(" %"))
+
+
+def test_a_question_starts_its_scene_and_gives_it_the_keys(lesson: Any) -> None:
+    lesson.focus("#lesson")  # as a click does
+    lesson.select_option("#lesson", "1")
+    wait_for(lesson, "clock", "[^0]")
+    lesson.page.keyboard.press("Space")  # pauses, and scrolls nothing
+    lesson.page.wait_for_timeout(100)
+    paused = lesson.locator("#clock").inner_text()
+    lesson.page.wait_for_timeout(150)
+    assert lesson.locator("#clock").inner_text() == paused
+    assert lesson.page.evaluate("scrollY") == 0
+    lesson.click("#stage", position={"x": 60, "y": 200})  # plays on, and turns nothing
+    wait_for(lesson, "clock", "0.[5-9]|[1-9]")
+    assert lesson.locator("#torque").inner_text() == "0 %"
+    assert lesson.locator("#question details").get_attribute("open") is None
+    for _ in range(2):  # each click starts anew
+        lesson.click("text=A drop")
+        assert wait_for(lesson, "clock", "^0.[0-4]$") < 0.5
+        wait_for(lesson, "clock", "0.[5-9]|[1-9]")
+    lesson.page.keyboard.down("ArrowLeft")
+    wait_for(lesson, "torque", "[1-9]")
+
+
+def test_the_box_is_large_and_the_hint_beside_it(lesson: Any) -> None:
+    stage, hint = (lesson.locator(name).bounding_box() for name in ("#stage", "#hint span"))
+    side = stage["height"] / (math.sqrt(2.0) * 1.09)  # of the level box, which fits at any angle
+    assert side > 300.0
+    assert hint["y"] > stage["y"] + 0.5 * (stage["height"] + side)
+
+
+def test_a_resting_foot_is_no_bounce(opened: Page) -> None:
+    opened.page.select_option("#speed", "4")
+    opened.page.select_option("#lesson", "2")
+    opened.page.locator("#rest").wait_for()
+    counted = opened.page.locator("#hits").inner_text()
+    simulator = make_simulator({"restitution": 0.5, "drive": None}, contact="exact")
+    simulator.reset(REST)
+    bounces = 0
+    for _ in range(160):
+        impacts = simulator.step(0.02).impacts
+        bounces += sum(hit.time < simulator.time for hit in impacts)  # those of rest are recorded at the step's end
+    assert int(counted) == bounces
+    assert impacts
+    opened.page.wait_for_timeout(300)
+    assert opened.page.locator("#hits").inner_text() == counted
+
+
+def test_an_address_may_name_a_question(browser: Any) -> None:
+    for query, message in (("?scene=7", ""), ("?scene=ten", "scene must be from 1 to 9, got ten")):
+        opened = Page(browser, ensure_page(), query)
+        opened.page.wait_for_timeout(200)
+        assert opened.message == message
+        assert (opened.time > 0.0) == (not message)
+        opened.uri += query
+        opened.close()
+
+
+def test_the_ghost_is_the_agent_or_a_shared_game(opened: Page) -> None:
+    def returns() -> list[str]:
+        opened.page.wait_for_timeout(150)  # until the page has read them anew
+        return [opened.page.locator("#returns tr").nth(row).inner_text().split("\t")[1] for row in (0, 1)]
+
+    opened.page.select_option("#speed", "4")
+    for key in "ga":
+        opened.page.keyboard.press(key)
+    wait_for(opened.page, "clock", "^[4-9]")  # after an impact
+    text = opened.text
+    mine, ghost = returns()
+    assert mine == ghost
+    assert float(ghost) > 0.0
+    opened.page.keyboard.press("a")
+    opened.page.click("#share")
+    opened.page.locator("#text").fill(text)
+    opened.page.click("text=Play against it")
+    opened.page.keyboard.press("Space")
+    wait_for(opened.page, "clock", "^[89]")  # its game is over
+    assert returns()[1] == ghost
+    assert returns()[0] != ghost
+    assert read_game(opened.text).start.tolist() == read_game(text).start.tolist()
+
+
+def test_the_file_is_small() -> None:
+    assert len(gzip.compress(ensure_page().read_bytes())) < 165_000
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_width_scrolls_sideways(scheme: str, opened: Page) -> None:
     opened.page.emulate_media(color_scheme=scheme)
+    opened.page.select_option("#lesson", "5")
     for width in (320, 400, 1920):
         opened.page.set_viewport_size({"width": width, "height": 800})
         assert opened.page.evaluate("document.documentElement.scrollWidth") <= width

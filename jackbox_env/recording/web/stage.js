@@ -18,11 +18,13 @@ function makeStage() {
   const sx = (x) => width / 2 + (x - state[COLUMN.x_box]) * scale;
   const sy = (y) => height / 2 - (y - state[COLUMN.y_box]) * scale;
 
-  function draw(time) {
+  // `ghost`: the 12 numbers of another motion, drawn pale about its own box's centre.
+  function draw(time, ghost = null) {
     sampleAt(time, state);
     pen.clearRect(0, 0, width, height);
     drawInside();
     drawRules();
+    if (ghost) drawGhost(ghost);
     drawWalls();
     drawTrail(time, FOOT_TRAIL, 1.6, colours.foot, (one) => footOf(one, 0));
     drawTrail(time, TRAIL, 2.6, colours.jack, () => [0, 0]);
@@ -46,7 +48,17 @@ function makeStage() {
     });
   }
 
-  function drawWalls() {
+  function drawGhost(ghost) {
+    const own = state.slice();
+    state.set(ghost, 1);
+    pen.globalAlpha = 0.3;
+    drawWalls(false);
+    drawJack();
+    pen.globalAlpha = 1;
+    state.set(own);
+  }
+
+  function drawWalls(named = true) {
     const half = data.halfWidth * scale;
     const wall = Math.max(5, 0.03 * half);
     inBoxFrame(() => {
@@ -54,7 +66,7 @@ function makeStage() {
       pen.lineWidth = wall;
       pen.lineJoin = "round";
       pen.strokeRect(-half - wall / 2, -half - wall / 2, 2 * half + wall, 2 * half + wall);
-      drawWallNames(half + wall);
+      if (named) drawWallNames(half + wall);
     });
   }
 
