@@ -12,7 +12,7 @@ from agents.settings import EnvSettings, SceneFields, scene_as_json
 from agents.user_code import load
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
-from jackbox_env.tools.files import check_new, check_writable, new_file, new_folder, write_json
+from jackbox_env.tools.files import check_new, check_new_file, new_file, new_folder, write_json
 
 with suppress(ImportError):  # main names what is missing
     import tyro
@@ -76,8 +76,7 @@ def _check(arguments: Arguments) -> None:
     if not arguments.policy:
         raise ValueError("policy must name at least one policy, got none")
     if arguments.json is not None:
-        check_writable(arguments.json.parent)
-        check_new(arguments.json)
+        check_new_file(arguments.json)
     if arguments.folder is not None:
         if not arguments.html:
             raise ValueError("folder goes with --html, whose pages are written into it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import cast
 
 from jackbox_env.commands.options import parser_of
@@ -16,32 +17,47 @@ def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
     text = "the shared text, or the link that ends in it; - reads it from standard input"
     parser.add_argument("text", metavar="TEXT", help=text)
+    text = (
+        "also write what was played to this new CSV file: the columns of states.csv of `jackbox simulate`, and the "
+        "impacts, their impulse and the reward of each step"
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help=text)
     return parser.parse_args()
 
 
 @command_line
 def main() -> None:
-    """Parse, replay, compare; exit with 1 if the motion differs."""
-    text: str = _arguments().text
+    """Parse, replay, compare, write; exit with 1 if the motion differs."""
+    arguments = _arguments()
+    text: str = arguments.text
     import gymnasium as gym
 
     from jackbox_env.model.scene import total
-    from jackbox_env.recording.game import read_game, replay_game
+    from jackbox_env.recording.files import write_table
+    from jackbox_env.recording.game import played_columns, read_game, replayed_steps
+    from jackbox_env.tools.files import check_new_file
 
+    if arguments.csv is not None:
+        check_new_file(arguments.csv)
     if text == "-":
         text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
     game = read_game(text)
-    steps, episode = len(game.shares), cast(int, gym.spec("JackInBox-v0").max_episode_steps)
-    if not steps:
+    count, episode = len(game.shares), cast(int, gym.spec("JackInBox-v0").max_episode_steps)
+    differs, steps = replayed_steps(game)
+    played = f"{count:,} steps of {game.task}, {count * game.dt:g} s"
+    if not count:
         print(f"This game of {game.task} has no steps: there is nothing to compare")
-        return
-    differs, rewards = replay_game(game)
-    played = f"{steps:,} steps of {game.task}, {steps * game.dt:g} s"
-    if differs is not None:
+    elif differs is not None:
         print(f"{played}: it differs from step {differs:,} on")
+    else:
+        first = f" in the first {episode * game.dt:g} s" if count > episode else ""
+        earned = total([step.reward for step in steps[:episode]])
+        print(f"{played}, return {earned:.1f}{first}: the same, bit for bit")
+    if arguments.csv is not None:
+        write_table(played_columns(game, steps), arguments.csv)
+        print(f"{arguments.csv} has {len(steps):,} steps")
+    if differs is not None:
         sys.exit(1)
-    first = f" in the first {episode * game.dt:g} s" if steps > episode else ""
-    print(f"{played}, return {total(rewards[:episode]):.1f}{first}: the same, bit for bit")
 
 
 if __name__ == "__main__":

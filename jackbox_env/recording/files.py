@@ -46,21 +46,28 @@ def frame(columns: Columns) -> Any:
 def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> list[Path]:
     """Write a file of states (time, the 12 numbers, torque) and one of impacts, to new files; return them.
 
-    Digits are in full. The first line names each column with its unit. A row's torque is the mean over the step that
-    begins there; the last row's is empty.
+    A row's torque is the mean over the step that begins there; the last row's is empty.
 
     Raises:
         FileExistsError: a file is there already.
     """
-    for path, columns in zip((states, impacts), tables, strict=True):
-        names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
-        with new_file(path) as partial, partial.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(names)
-            for first in range(0, len(next(iter(columns.values()))), _ROWS):
-                rows = zip(*(numbers[first : first + _ROWS].tolist() for numbers in columns.values()), strict=True)
-                writer.writerows(["" if cell != cell else cell for cell in row] for row in rows)
-    return [states, impacts]
+    return [write_table(columns, path) for path, columns in zip((states, impacts), tables, strict=True)]
+
+
+def write_table(columns: Columns, path: Path) -> Path:
+    """Write columns to a new CSV file: digits in full, names and units in the first line, NaN as an empty cell.
+
+    Raises:
+        FileExistsError: the file is there already.
+    """
+    names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
+    with new_file(path) as partial, partial.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        for first in range(0, len(next(iter(columns.values()))), _ROWS):
+            rows = zip(*(numbers[first : first + _ROWS].tolist() for numbers in columns.values()), strict=True)
+            writer.writerows(["" if cell != cell else cell for cell in row] for row in rows)
+    return path
 
 
 def write_scene(scene: Scene, path: Path) -> Path:
@@ -74,6 +81,11 @@ def write_scene(scene: Scene, path: Path) -> Path:
     with new_file(path) as partial:
         partial.write_text(text)
     return path
+
+
+def state_columns(times: Array, states: Array, torques: Array) -> Columns:
+    """The columns of states.csv, from times [s], shape (n,), states, shape (n, 12), and torques [N m], shape (n,)."""
+    return {("time", "s"): times, **by_name("", states), ("torque", "N m"): torques}
 
 
 def by_name(prefix: str, states: Array) -> Columns:

@@ -16,7 +16,7 @@ from jackbox_env.render.canvas import SIZE, import_pygame
 from jackbox_env.render.renderer import Renderer
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import bar
-from jackbox_env.tools.files import check_new, check_writable, new_file
+from jackbox_env.tools.files import check_new_file, new_file
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -38,8 +38,7 @@ def check_film(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
-    check_writable(path.parent)
-    check_new(path)
+    check_new_file(path)
     import_pygame()
     _library("PIL.Image" if path.suffix.lower() == ".gif" else "imageio_ffmpeg")
 

@@ -4,7 +4,8 @@ The text is a JSON object, or a link that ends in one after a ``#``, percent-enc
 
 - ``version``: of this format, 1. ``package``: of the jackbox that wrote it, for information.
 - ``task``: juggle (default), spin or rattle. ``dt``: control step [s], default 0.02, from 0.001 to 1.
-- ``scene``: an object of jack_mass, jack_arm, restitution and gravity, as far as they differ from the default scene.
+- ``scene``: an object of jack_mass, jack_arm, restitution, gravity, torque_limit and box_mass, as far as they differ
+  from the default scene. Inertias follow from masses and sizes.
 - ``start``: the state in which the game starts, 12 numbers; or four strings of decimal digits, the words of a PCG64
   generator (state high and low, increment high and low) that draws it as :func:`jackbox_env.model.tasks.sample_start`.
 - ``shares``: the torque of each run of steps as a share of the torque limit, float64, little-endian.
@@ -21,6 +22,7 @@ FNV-1a over 64-bit words: the 12 numbers of the state after each step, from the 
 from __future__ import annotations
 
 import json
+import math
 import re
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,8 +39,9 @@ from jackbox_env.exact.restart import WHOLE, unpacked
 from jackbox_env.model.scene import Scene, total
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
+from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
-from jackbox_env.simulators.base import total_impulse
+from jackbox_env.simulators.base import StepResult, total_impulse
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.tools import checks as check
 
@@ -46,7 +49,7 @@ VERSION = 1
 LONGEST = 65_536  # characters of a text
 MOST_SECONDS = 1000.0  # [s] of a game, at most
 MOST_WORK = 5e7  # gap evaluations of a replay: 10 s, 150 s if all of them find impacts
-FIELDS = ("jack_mass", "jack_arm", "restitution", "gravity")  # of the scene
+FIELDS = ("jack_mass", "jack_arm", "restitution", "gravity", "torque_limit", "box_mass")  # of the scene
 FARTHEST = 1e6  # numbers of a start, at most
 _ARRAYS = {"shares": "<f8", "counts": "<u2", "checks": "u1"}
 _KEYS = ("version", "package", "task", "scene", "dt", "start", *_ARRAYS, "digest")
@@ -74,6 +77,22 @@ class Game(NamedTuple):
     shares: Sequence[float | None] = ()
     checks: bytes = b""
     digest: int = _BASIS
+
+
+class Step(NamedTuple):
+    """A simulated step of a game.
+
+    Attributes:
+        result: state and time at its end, mean torque, impacts.
+        impulse: of all its impacts [N s].
+        reward: of the step.
+        number: the hash after it.
+    """
+
+    result: StepResult
+    impulse: float  # [N s]
+    reward: float
+    number: int
 
 
 def read_game(text: str) -> Game:
@@ -111,12 +130,33 @@ def replay_game(game: Game) -> tuple[int | None, list[float]]:
     Raises:
         JackLostError: a step cannot be followed, or the game needs more than 50,000,000 gap evaluations.
     """
-    rewards = list[float]()
-    for step, (number, reward) in enumerate(_simulated(game), 1):
-        if number >> 56 != game.checks[step - 1] or (step == len(game.shares) and number != game.digest):
-            return step, rewards
-        rewards.append(reward)
-    return None, rewards
+    differs, steps = replayed_steps(game)
+    return differs, [step.reward for step in steps]
+
+
+def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
+    """:func:`replay_game` with the steps before a difference in place of their rewards."""
+    steps = list[Step]()
+    for count, step in enumerate(_simulated(game), 1):
+        if step.number >> 56 != game.checks[count - 1] or (count == len(game.shares) and step.number != game.digest):
+            return count, steps
+        steps.append(step)
+    return None, steps
+
+
+def played_columns(game: Game, steps: Sequence[Step]) -> Columns:
+    """A table of n steps, with n + 1 rows: that of states.csv with the number of impacts, their impulse, the reward.
+
+    A row's torque, impacts, impulse and reward are of the step that begins there; the last row's are NaN. A foot at
+    rest counts as an impact of each step.
+    """
+    times = np.array([0.0, *(step.result.time for step in steps)])
+    states = np.array([game.start, *(step.result.state for step in steps)])
+    rows = [(step.result.torque, len(step.result.impacts), step.impulse, step.reward) for step in steps]
+    columns = zip(*rows, (math.nan,) * 4, strict=True)
+    torque, impacts, impulse, reward = (np.array(column, object) for column in columns)  # counts stay whole numbers
+    further: Columns = {("impacts", ""): impacts, ("impulse", "N s"): impulse, ("reward", ""): reward}
+    return {**state_columns(times, states, torque), **further}
 
 
 def write_game(
@@ -129,7 +169,8 @@ def write_game(
     """Simulate a game by the exact model, and return its text, which the page of ``jackbox play`` shows too.
 
     Args:
-        scene: differs from the default scene in jack_mass, jack_arm, restitution and gravity at most.
+        scene: differs from the default scene in jack_mass, jack_arm, restitution, gravity, torque_limit and box_mass
+            at most.
         start: the state at time 0, shape (12,), every foot inside the box.
         shares: the torque of each step over the torque limit, from -1 to 1, or None for the scene's drive.
         task: juggle, spin or rattle.
@@ -148,7 +189,7 @@ def write_game(
     values["start"] = as_start(scene, start).tolist()
     torques = [None if one is None else check.real("a share", one, at_least=-1.0, at_most=1.0) for one in shares]
     if torques:
-        hashes = [number for number, _ in _simulated(read_game(json.dumps(values))._replace(shares=torques))]
+        hashes = [step.number for step in _simulated(read_game(json.dumps(values))._replace(shares=torques))]
         alike = [list(group) for _, group in groupby(torques, key=repr)]  # which distinguishes -0.0 from 0.0
         runs = [run[begin : begin + _DRIVEN - 1] for run in alike for begin in range(0, len(run), _DRIVEN - 1)]
         counts = [len(run) | _DRIVEN * (run[0] is None) for run in runs]
@@ -161,25 +202,23 @@ def write_game(
     return text
 
 
-def _simulated(game: Game) -> Iterator[tuple[int, float]]:
-    """The hash after each step, and its reward."""
+def _simulated(game: Game) -> Iterator[Step]:
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
     functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:
-            state, time, torque, impacts = simulator.step(
-                game.dt, None if share is None else share * game.scene.torque_limit
-            )
+            result = simulator.step(game.dt, None if share is None else share * game.scene.torque_limit)
             work += simulator.evaluations
             if work > MOST_WORK:
                 raise JackLostError(f"the game needs more than {MOST_WORK:,.0f} gap evaluations")
         except JackLostError as error:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
-        for word in state.view(np.uint64).tolist():
+        for word in result.state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
-        _, terms, _ = functions.judge(state, time, torque, total_impulse(impacts), seen=False)
-        yield number, total(terms)
+        impulse = total_impulse(result.impacts)
+        _, terms, _ = functions.judge(result.state, result.time, result.torque, impulse, seen=False)
+        yield Step(result, impulse, total(terms), number)
 
 
 def _start(scene: Scene, values: Any) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array, Counts
-from jackbox_env.recording.files import Columns, by_name, frame, save
+from jackbox_env.recording.files import Columns, by_name, frame, save, state_columns
 from jackbox_env.recording.record import Impacts, Record
 from jackbox_env.recording.recorder import restarted, within_memory
 from jackbox_env.simulators.base import Impact
@@ -244,7 +244,7 @@ class Motion:
     def tables(self) -> tuple[Columns, Columns]:
         """The columns of states, with NaN for the torque after the last one, and those of impacts."""
         torque = np.append(self.mean_torques, np.nan)
-        states = {("time", "s"): self.t, **by_name("", self.states), ("torque", "N m"): torque}
+        states = state_columns(self.t, self.states, torque)
         units = {"time": "s", "impulse": "N s"}
         impacts = {(name, units.get(name, "")): self.impacts[name] for name in Impact._fields}
         if "before" in (self.impacts.dtype.names or ()):

@@ -123,6 +123,17 @@ def check_new(path: Path) -> None:
     check_writable(next(folder for folder in path.absolute().parents if os.path.lexists(folder)))
 
 
+def check_new_file(path: Path) -> None:
+    """Check that a file ``path`` can be written, before anything is computed for it.
+
+    Raises:
+        FileExistsError: there is something at ``path``.
+        OSError: its folder is missing, or nothing can be written to it.
+    """
+    check_writable(path.parent)
+    _refuse_existing(path)
+
+
 def _refuse_existing(path: Path) -> None:
     """Raise FileExistsError if there is something at ``path``."""
     if os.path.lexists(path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import importlib
 import json
 import re
@@ -24,6 +25,7 @@ import pytest
 from jackbox_env import JackLostError, Scene, make_simulator
 from jackbox_env.commands import play, replay
 from jackbox_env.exact import compiler
+from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
@@ -31,7 +33,7 @@ from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 
 ROOT = Path(__file__).parents[2]
-SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7}
+SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7, "torque_limit": 60000.0, "box_mass": 500.0}
 START = sample_start(Scene(**SCENE), np.random.default_rng(3)).tolist()
 SHARES = [None] * 200 + [0.25] * 150 + [-0.0] * 3 + [0.0] * 50 + np.linspace(-1.0, 1.0, 197).tolist()
 GAME: dict[str, Any] = json.loads(write_game(SCENE, START, SHARES, "rattle"))
@@ -63,7 +65,7 @@ def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
     simulator.reset(GAME["start"])
     for share, count in zip(decoded("shares", "d"), decoded("counts", "H"), strict=True):
         for _ in range(count % 32768):
-            simulator.step(0.02, None if count >= 32768 else share * 90000.0)
+            simulator.step(0.02, None if count >= 32768 else share * SCENE["torque_limit"])
             for word in struct.unpack("<12Q", simulator.state.tobytes()):
                 number = (number ^ word) * 0x100000001B3 % 2**64
             checks.append(number >> 56)
@@ -130,7 +132,9 @@ def test_the_words_of_a_generator_draw_the_start() -> None:
         (text(dt=1.0, **held(1001)), "a game must last at most 1,000 s, got 1,001 s"),
         (text(dt=0.75, **held(1334, 32768)), "a game must last at most 1,000 s, got 1,000.5 s"),
         (text(scene={"jack_arm": 9}), "jack_arm must be below"),
-        (text(scene={"box_mass": 40}), "scene accepts only 'jack_mass', .* got 'box_mass'"),
+        (text(scene={"torque_limit": 0}), "torque_limit must be a finite number at least 1e-60 and .*, got 0"),
+        (text(scene={"box_mass": 9e59}), "box_inertia must be a finite number .* at most 1e\\+60, got 3.24e\\+61"),
+        (text(scene={"box_inertia": 9}), "scene accepts only 'jack_mass', .*, 'box_mass', got 'box_inertia'"),
         (text(scene=[1]), "scene must be .* got \\[1\\]"),
         (text(start=None), "start must be a list of 12 numbers, or 4 words .* got None"),
         (text(start=[0.0] * 11), "must have shape \\(12,\\)"),
@@ -160,7 +164,7 @@ def test_a_bad_text_is_refused_in_one_sentence(bad: str, sentence: str) -> None:
 
 def test_a_scene_beyond_the_texts_fields_is_not_written() -> None:
     with pytest.raises(ValueError, match="differ from the default in jack_mass, .* only, got Scene"):
-        write_game({"box_mass": 40.0}, START)
+        write_game({"box_half_width": 7.0}, START)
     with pytest.raises(ValueError, match="a share must be .* at most 1, got 2"):
         write_game(None, START, [2])
     with pytest.raises(JackLostError, match="step 2 of 2 cannot be followed: the jack"):
@@ -178,7 +182,7 @@ def test_a_replay_ends_where_its_work_does(monkeypatch: pytest.MonkeyPatch) -> N
     for _ in range(200):
         simulator.step(0.02)
         work += simulator.evaluations
-    assert work > 10.0
+    assert work > 5.0
     monkeypatch.setattr(game, "MOST_WORK", work - 1.0)
     with pytest.raises(JackLostError, match=f"step [0-9]+ of 600 .* needs more than {work - 1.0:,.0f} gap eval"):
         replay_game(read_game(text()))
@@ -214,6 +218,28 @@ def test_the_command_compares(shared: str, status: int, said: str) -> None:
         done = subprocess.run(command, input=typed, capture_output=True, text=True, check=False)
         assert done.returncode == status, done.stderr
         assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
+
+
+def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
+    path = tmp_path / "game.csv"
+    command = [sys.executable, "-m", "jackbox_env", "replay", text(digest="0" * 16), "--csv", str(path)]
+    done, again = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2))
+    assert (done.returncode, again.returncode) == (1, 2)
+    assert done.stdout.endswith(f"it differs from step 600 on\n{path} has 599 steps\n")
+    assert again.stderr == f"{path} exists, and is never overwritten: choose another place\n"
+    with path.open() as file:
+        header, *lines, last = csv.reader(file)
+    states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
+    assert header == ["time [s]", *states, "torque [N m]", "impacts", "impulse [N s]", "reward"]
+    simulator, rewards = make_simulator(SCENE, "exact"), replay_game(read_game(text()))[1]
+    simulator.reset(START)
+    for line, share, reward in zip(lines, SHARES[:599], rewards[:599], strict=True):
+        before = simulator.time, *simulator.state.tolist()
+        _, _, torque, impacts = simulator.step(0.02, None if share is None else share * SCENE["torque_limit"])
+        impulse = sum((impact.impulse for impact in impacts), 0.0)
+        assert line == [str(number) for number in (*before, torque, len(impacts), impulse, reward)]
+    assert last == [*map(str, (simulator.time, *simulator.state.tolist())), *[""] * 4]
+    assert {"0", "1"} <= {line[14] for line in lines}
 
 
 # -- play -------------------------------------------------------------------------------------------------------------
