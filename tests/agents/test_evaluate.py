@@ -71,6 +71,7 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         (["--html", "--folder", "/dev/null/pages"], "/dev/null cannot be used: Not a directory"),
         (["--folder", "pages"], "folder goes with --html"),
         (["--film", "/proc/film.GIF"], "/proc cannot be used: "),
+        (["--film-episodes", "4"], "film_episodes goes with --film"),
         (["--json", "/proc/out.json"], "/proc cannot be used: "),
         (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"pass its folder, {SHIPPED / 'juggle-ppo'}"),
         (["--policy", "/dev/null"], "/dev/null"),
