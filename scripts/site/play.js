@@ -234,10 +234,11 @@ for (const [name, field] of Object.entries(data.fields)) {
   byId("sliders").append(label);
 }
 
-// Play a game from its text: replay it, or play `against` it.
-function open(text, against = false) {
+// Play a game from its text: replay it, or play `against` it. `asked`: whether it is a scene of the question.
+function open(text, against = false, asked = false) {
   try {
     const read = readGame(text);
+    if (!asked) showQuestion(0);
     player.ghost = against && read[4];
     if (against) read[4] = null;
     restart(...read);
@@ -275,14 +276,18 @@ byId("lesson").append(...["none", ...data.lesson.map((one, k) => `${k + 1}. ${on
   return Object.assign(make("option", "", title), { value: k });
 }));
 
-function ask(number) {
+function showQuestion(number) {
   const asked = data.lesson[number - 1];
-  byId("lesson").value = asked ? number : 0;
+  byId("lesson").value = number;
   byId("question").hidden = !asked;
-  if (!asked) return restart("juggle", {}, 0.02, randomWords(), null, false);
-  byId("question").innerHTML = `<h2>${number}. ${asked.title}</h2><p>${asked.question}</p>
+  if (asked) byId("question").innerHTML = `<h2>${number}. ${asked.title}</h2><p>${asked.question}</p>
     <details><summary>Answer</summary><p>${asked.answer}</p></details>`;
-  byId("question").querySelector("a").click();
+}
+
+function ask(number) {
+  showQuestion(number);
+  if (number) byId("question").querySelector("a").click();
+  else restart("juggle", {}, 0.02, randomWords(), null, false);
 }
 
 byId("lesson").addEventListener("change", (event) => {
@@ -294,7 +299,7 @@ byId("question").addEventListener("click", (event) => {
   if (!link) return;
   event.preventDefault();
   Object.assign(player, { agent: false, chirp: false });
-  open(link.getAttribute("href"));
+  open(link.getAttribute("href"), false, true);
   player.playing = true;
   link.blur(); // so that Space pauses
   byId("stage").scrollIntoView({ block: "nearest" });
@@ -310,8 +315,8 @@ const redraw = () => {
   player.read = -READ;
 };
 const asked = new URLSearchParams(location.search).get("scene");
-if (asked !== null) ask(data.lesson[Number(asked) - 1] ? Number(asked) : 0);
-if (asked !== null && byId("question").hidden) say(`scene must be from 1 to ${data.lesson.length}, got ${asked}`);
+if (data.lesson[asked - 1]) ask(Number(asked));
+else if (asked !== null) say(`scene must be from 1 to ${data.lesson.length}, got ${asked}`);
 openLink();
 addEventListener("hashchange", openLink);
 new ResizeObserver(() => requestAnimationFrame(redraw)).observe(byId("stage"));

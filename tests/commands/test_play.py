@@ -237,6 +237,10 @@ def test_a_question_starts_its_scene_and_gives_it_the_keys(lesson: Any) -> None:
         wait_for(lesson, "clock", "0.[5-9]|[1-9]")
     lesson.page.keyboard.down("ArrowLeft")
     wait_for(lesson, "torque", "[1-9]")
+    lesson.click("#share")
+    lesson.locator("#text").fill(write_game(None, REST))
+    lesson.click("text=Play the text above")
+    lesson.locator("#question").wait_for(state="hidden")  # a pasted game is no scene of it
 
 
 def test_the_box_is_large_and_the_hint_beside_it(lesson: Any) -> None:
