@@ -191,21 +191,21 @@ def test_a_link_opens_its_scene(browser: Any) -> None:
 # -- the lesson -------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["file", "frame"])
+@pytest.fixture(params=["file", "lesson.md", "index.md"])
 def lesson(request: pytest.FixtureRequest, browser: Any, tmp_path: Path) -> Iterator[Any]:
-    """The page as one file, and in the frame of docs/lesson.md, as wide as the site's text."""
+    """The page as one file, and in the frames of the site, as wide as its text."""
     if request.param == "file":
         alone = Page(browser, ensure_page())
         yield alone.page.main_frame
         alone.close()
         return
-    (frame,) = re.findall("<iframe.*</iframe>", (ROOT / "docs" / "lesson.md").read_text())
+    (frame,) = re.findall("<iframe.*</iframe>", (ROOT / "docs" / request.param).read_text())
     style = (ROOT / "docs" / "_static" / "site.css").read_text()
     (tmp_path / "play.html").write_bytes(ensure_page().read_bytes())
     around = f"<!doctype html><style>{style}</style><article style='width: 736px'>{frame}</article>"
-    (tmp_path / "lesson.html").write_text(around + "<div style='height: 2000px'></div>")
+    (tmp_path / "around.html").write_text(around + "<div style='height: 2000px'></div>")
     page = browser.new_page(viewport={"width": 1280, "height": 860})
-    page.goto((tmp_path / "lesson.html").as_uri())
+    page.goto((tmp_path / "around.html").as_uri())
     yield page.frame_locator("iframe").locator("body").element_handle().owner_frame()
     page.close()
 
@@ -227,8 +227,10 @@ def test_a_question_starts_its_scene_and_gives_it_the_keys(lesson: Any) -> None:
     lesson.page.wait_for_timeout(150)
     assert lesson.locator("#clock").inner_text() == paused
     assert lesson.page.evaluate("scrollY") == 0
-    lesson.click("#stage", position={"x": 60, "y": 200})  # plays on, and turns nothing
+    lesson.click("#stage", position={"x": 60, "y": 200})  # plays on
     wait_for(lesson, "clock", "0.[5-9]|[1-9]")
+    lesson.click("#stage", position={"x": 60, "y": 200}, delay=200)  # pauses, and turns nothing
+    assert lesson.locator("#hint").inner_text() == "Paused"
     assert lesson.locator("#torque").inner_text() == "0 %"
     assert lesson.locator("#question details").get_attribute("open") is None
     for _ in range(2):  # each click starts anew
@@ -294,7 +296,8 @@ def test_the_ghost_is_the_agent_or_a_shared_game(opened: Page) -> None:
     opened.page.click("#share")
     opened.page.locator("#text").fill(text)
     opened.page.click("text=Play against it")
-    opened.page.keyboard.press("Space")
+    for key in ("r", "Space"):
+        opened.page.keyboard.press(key)
     wait_for(opened.page, "clock", "^[89]")  # its game is over
     assert returns()[1] == ghost
     assert returns()[0] != ghost
