@@ -18,7 +18,6 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from jackbox_env.tools.command_line import ROOT, command_line
-from scripts.site.build import ensure_page
 
 # Of the C library the code calls fmod, memmove, memset and sincos, which every glibc has; numba needs a newer one.
 TAG = "cp{0}{1}-cp{0}{1}-manylinux_2_17_x86_64".format(*sys.version_info)
@@ -87,7 +86,6 @@ def main() -> None:
     tyro.cli(lambda: None, description=__doc__)
     if sysconfig.get_platform() != "linux-x86_64":
         raise SystemExit("compiled code is for Linux on x86-64; for any platform: python -m build --wheel")
-    ensure_page()
     out = ROOT / "dist"
     out.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:

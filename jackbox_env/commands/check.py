@@ -1,4 +1,4 @@
-"""Check this installation: versions, extras, compiled code, restored states, energy balance."""
+"""Check this installation: versions, extras, compiled code, restored states, energy balance, the page to play."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from importlib import metadata
 import numpy as np
 
 from jackbox_env import Scene, __version__, make_simulator
+from jackbox_env.commands import play
 from jackbox_env.commands.options import parser_of
 from jackbox_env.measure.accuracy import Case, follow
 from jackbox_env.planning import linearization
 from jackbox_env.simulators import exact
-from jackbox_env.tools.command_line import command_line
+from jackbox_env.tools.command_line import command_line, in_checkout
 
 _DT = 0.02  # [s]
 _TOLERANCE = 1e-9  # relative, of energy and work
@@ -90,12 +91,24 @@ def obeys_the_law() -> str:
     return f"over {count} impacts energy and work agree to {off:.0e}"
 
 
+def has_page() -> str:
+    """Find the page of `jackbox play`.
+
+    Raises:
+        FileNotFoundError: this package was built without it.
+    """
+    if in_checkout() and not play.PAGE.is_file():
+        return "built at the first `jackbox play`"
+    return f"{play.packaged().stat().st_size / 1e3:.0f} kB, `jackbox play` opens it"
+
+
 _CHECKS: dict[str, Callable[[], str]] = {
     "exact model, environments": lambda: _compiled(partial(exact.ensure_compiled, lossy=True)),
     "exact model, derivatives": lambda: _compiled(linearization.ensure_compiled),
     "exact model, states": lambda: restores("exact"),
     "exact model, law": obeys_the_law,
     "pymunk, states": lambda: restores("pymunk"),
+    "page to play": has_page,
 }
 
 

@@ -113,11 +113,13 @@ def recorded(
     ``torques`` has one for each step at least, or is that of any step [N m]; ``progress`` shows a bar. The other
     arguments of numbers but state and time have been checked.
     """
-    state, advance = as_restored(scene, state), exact_advance(scene)
+    state = as_restored(scene, state)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     for start in (time, time + max(duration - dt, 0.0)):
         end_of_step(start, min(dt, duration))
-    if setting.contact != EXACT:
+    if setting.contact == EXACT:
+        advance = exact_advance(scene)
+    else:
         simulator = make_simulator(scene, **setting._asdict())
         simulator.reset(state, time)
         advance = stepping_advance(simulator)

@@ -72,7 +72,10 @@ def module(name: str) -> bytes:
             return path.read_bytes()
     print("jackbox compiles its page to play, once for this version of the source (20 seconds)", file=sys.stderr)
     code = "import sys; from scripts.site.module import physics; sys.stdout.buffer.write(physics())"
-    made = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
+    compiled = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, stdout=subprocess.PIPE)
+    if compiled.returncode:
+        raise RuntimeError(f"numba {numba.__version__} cannot compile the page's physics: its error is above")
+    made = compiled.stdout
     try:
         write_bytes(paths[-1], made)
     except OSError as error:

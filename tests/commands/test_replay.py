@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackLostError, Scene, make_simulator
-from jackbox_env.commands import play, replay
+from jackbox_env.commands import check, play, replay
 from jackbox_env.exact import compiler
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
@@ -244,6 +244,8 @@ def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
 
 # -- play -------------------------------------------------------------------------------------------------------------
 
+HINT = "`jackbox play --out FILE` writes a copy to send.\n"
+
 
 @pytest.mark.parametrize("opens", [True, False])
 def test_play_opens_its_page_or_says_that_it_cannot(
@@ -267,7 +269,37 @@ def test_play_opens_its_page_or_says_that_it_cannot(
     play.main()
     assert opened == [f"{tmp_path.as_uri()}/a%20b.html"]
     out, err = capsys.readouterr()
-    assert (out, "No browser" in err) == (f"{play.PAGE}\n" * 2, not opens)
+    assert (out, "No browser" in err) == (f"Opening {play.PAGE}\n{play.PAGE}\n", not opens)
+    assert HINT in err
+
+
+def test_play_writes_a_new_file_and_opens_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, other = tmp_path / "a b.html", tmp_path / "page.txt"
+    monkeypatch.setattr(webbrowser, "open", lambda address: pytest.fail(f"{address} is opened"))
+    monkeypatch.setattr(play, "PAGE", tmp_path / "play.html")
+    play.PAGE.write_text("the page")
+    monkeypatch.setattr(sys, "argv", ["jackbox play", "--out", str(copy)])
+    play.main()
+    assert (capsys.readouterr(), copy.read_text()) == ((f"{copy}\n", ""), "the page")
+    refusals = {copy: "exists, and is never overwritten", other: "must be an .html file", copy / "a.html": "directory"}
+    for path, sentence in refusals.items():
+        monkeypatch.setattr(sys, "argv", ["jackbox play", "--out", str(path)])
+        with pytest.raises(SystemExit):
+            play.main()
+        said = capsys.readouterr().err
+        assert (sentence in said, said.count("\n"), copy.read_text()) == (True, 1, "the page"), said
+
+
+def test_check_reports_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play, "PAGE", tmp_path / "play.html")
+    assert check.has_page() == "built at the first `jackbox play`"  # of a checkout
+    monkeypatch.setattr(check, "in_checkout", lambda: False)
+    with pytest.raises(FileNotFoundError, match="built without its page"):
+        check.has_page()
+    play.PAGE.touch()
+    assert "opens it" in check.has_page()
 
 
 @pytest.fixture
@@ -291,7 +323,7 @@ def test_a_page_that_is_up_to_date_needs_no_folder_to_write_to(
     unwritable: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     importlib.import_module("scripts.play").main()
-    assert capsys.readouterr() == (f"{unwritable}\n", "")
+    assert capsys.readouterr() == (f"{unwritable}\n", HINT)
 
 
 def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
@@ -311,7 +343,7 @@ def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
     out, err = capsys.readouterr()
     assert Path(out.strip()).read_bytes() == unwritable.read_bytes()
     assert Path(out.strip()).is_relative_to(tmp_path)
-    compiles, stored, written = err.splitlines()
+    compiles, stored, written, _ = err.splitlines()
     assert "compiles its page to play" in compiles
     assert re.fullmatch(r"the page's physics cannot be kept in .*/file/.* \(Not a directory\), so .*", stored)
     assert re.fullmatch(r".*/file/play.html cannot be written \(Not a directory\): the page is in a temp.*", written)

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterable
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 
 from jackbox_env import __version__
-from scripts.site.build import ensure_page
+from jackbox_env.commands.play import PAGE
 from tests.fingerprints import fingerprints
 from tests.guarantees.test_other_machines import OLDEST, differing, x86
 
@@ -29,10 +33,11 @@ PYMUNK = "--fidelity", "balanced"  # which compiles nothing
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel for any platform, installed."""
     pytest.importorskip("build")
-    ensure_page()
     built = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(built), str(ROOT)]
-    subprocess.run(build, capture_output=True, check=True)  # hatchling is among the packages here
+    subprocess.run(
+        build, capture_output=True, check=True
+    )  # hatchling and what the page needs are among the packages here
     return installed(built.glob("*.whl"), tmp_path_factory.mktemp("site"))
 
 
@@ -92,7 +97,7 @@ def test_simulate_writes_files_without_plots_and_refuses_to_draw_them(site: Path
         "states.csv",
         "trajectory.html",
     ]
-    assert "matplotlib is not installed" in done.stderr
+    assert re.fullmatch("No plots: matplotlib is not installed .*\n", done.stderr)  # and nothing was compiled
     assert "pip install matplotlib" in jackbox(site, tmp_path, "simulate", "--plots", status=2).stderr
     jackbox(site, tmp_path, "simulate", "--seconds", "1", "--format", "npz", "--folder", "arrays", *PYMUNK)
     assert [path.name for path in (tmp_path / "arrays").iterdir()] == ["trajectory.npz"]
@@ -108,7 +113,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, cache: Path, tmp_path: Path) -> None:
     check = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
     done, again = check(), check()
-    assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 5
+    assert done.stdout.count("ok      ") == again.stdout.count("ok      ") == 6
     assert re.search(r'extra train: not installed, pip install .*"torch', done.stdout)
     said = re.findall(r"jackbox compiles .* for ([a-z ]+), once on this machine", done.stderr)
     assert said == ["all environments", "feet at rest", "derivatives"]
@@ -124,10 +129,34 @@ def test_the_exact_model_gives_the_same_bits_on_the_oldest_machine(cache: Path) 
     assert len(compared) > 25
 
 
-def test_play_has_its_page(site: Path, tmp_path: Path) -> None:
-    page = Path(jackbox(site, tmp_path, "play", "--no-browser").stdout.strip())
-    assert page.is_relative_to(site)
-    assert page.read_bytes() == ensure_page().read_bytes()
+def test_play_writes_the_wheels_page(site: Path, tmp_path: Path) -> None:
+    assert jackbox(site, tmp_path, "play", "--out", "game.html").stdout == "game.html\n"
+    assert (tmp_path / "game.html").read_bytes() == PAGE.read_bytes()  # that of this source, which the build wrote
+
+
+def test_only_an_editable_install_is_built_without_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    hooks = pytest.importorskip("hatchling.builders.hooks.plugin.interface")
+    hook = runpy.run_path(str(ROOT / "scripts" / "site" / "hook.py"))["PageHook"]
+    assert issubclass(hook, hooks.BuildHookInterface)
+    runs, included, app = list[Any](), dict[str, str](), SimpleNamespace(abort=sys.exit)
+    made = hook(str(ROOT), {}, None, None, "dist", "wheel", app)
+
+    def failing(command: list[str], **_: Any) -> subprocess.CompletedProcess[bytes]:
+        runs.append(command)
+        return subprocess.CompletedProcess(command, 2)
+
+    monkeypatch.setattr(subprocess, "run", failing)
+    made.initialize("editable", {"force_include": included})
+    assert not runs
+    with pytest.raises(SystemExit, match="^This wheel cannot be built, because the page .* cannot: .* above.$"):
+        made.initialize("standard", {"force_include": included})
+    assert (len(runs), included) == (1, {})
+
+
+def test_the_page_is_built_with_the_packages_that_will_show_it() -> None:
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    needed = stated["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["custom"]["dependencies"]
+    assert {*needed} < {*stated["project"]["dependencies"]}
 
 
 @pytest.mark.parametrize("command", ["demo", "train"])
