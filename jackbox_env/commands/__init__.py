@@ -1,1 +1,1 @@
-"""The commands of an installed wheel: simulate, play, fit, check."""
+"""The commands of an installed wheel: simulate, play, replay, fit, check."""

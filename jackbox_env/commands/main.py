@@ -10,7 +10,7 @@ from jackbox_env.tools.command_line import JACKBOX, ROOT, command_line, in_check
 
 _PACKAGED = {
     "simulate": "simulate the scene; write CSV or npz, plots, an animated page",
-    "play": "play in the browser",
+    "play": "play in the browser, or write the page to send",
     "replay": "replay a shared game and compare it bit for bit",
     "fit": "fit a scene's fields to recordings (needs the train extra)",
     "check": "check this installation",

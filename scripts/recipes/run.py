@@ -28,6 +28,11 @@ def _script(name: str, *arguments: str) -> tuple[str, ...]:
 
 
 _ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.training.zoo"
+# Ten steps of half the torque limit to one side and the other.
+_GAME = (
+    '{"version":1,"start":[0,0,0,0,0,0,0,0,0,0,0,0],"shares":"AAAAAAAA4D8AAAAAAADgvw","counts":"BQAFAA",'
+    '"checks":"1imxpJRoc7MtYA","digest":"60a042424a8014fa"}'
+)
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
     "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1200")),
@@ -40,7 +45,7 @@ RECIPES = {
                       ("rl_zoo3", "stable-baselines3", TORCH)),
     "torchrl": Recipe(_script("torchrl"), ("torchrl", TORCH)),
     "tianshou": Recipe(_script("tianshou"), ("tianshou", TORCH)),
-    "minari": Recipe(_script("minari"), ("minari[create,hdf5]", "pillow", "tyro")),
+    "minari": Recipe(_script("minari", "--game", _GAME), ("minari[create,hdf5]", "pillow", "tyro")),
     "jax": Recipe(_script("jax"), ("jax",)),
     "rllib": Recipe(_script("rllib", "--iterations", "4"), ("ray[rllib]==2.60.0", "gymnasium==1.2.2", TORCH)),
 }  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env.commands import check
+from jackbox_env.commands import check, play
 from jackbox_env.model.states import Array
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
@@ -62,11 +62,21 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     monkeypatch.setattr(sys, "argv", ["jackbox check"])
     check.main()
     out = capsys.readouterr().out
-    assert out.count("ok      ") == 5
+    assert out.count("ok      ") == 6
     assert "derivatives: ready after" in out
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
     assert extras == ["notebooks:", "scale:", "train:", "video:"]
     assert "over 3 impacts energy and work agree" in out
+
+
+def test_check_reports_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play, "PAGE", tmp_path / "play.html")
+    assert check.has_page() == "built at the first `jackbox play`"  # of a checkout
+    monkeypatch.setattr(check, "in_checkout", lambda: False)
+    with pytest.raises(FileNotFoundError, match="built without its page"):
+        check.has_page()
+    play.PAGE.touch()
+    assert "opens it" in check.has_page()
 
 
 def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +94,7 @@ def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], mo
     assert ended.value.code == 1
     out = capsys.readouterr().out
     assert re.search("FAILED  exact model, law: RuntimeError: over 3 impacts .* differ by .*e-0[678] ", out)
-    assert out.count("ok      ") == 4
+    assert out.count("ok      ") == 5
 
 
 def test_check_sees_a_state_that_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:

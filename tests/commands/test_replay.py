@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackLostError, Scene, make_simulator
-from jackbox_env.commands import check, play, replay
+from jackbox_env.commands import play, replay
 from jackbox_env.exact import compiler
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
@@ -290,16 +290,6 @@ def test_play_writes_a_new_file_and_opens_nothing(
             play.main()
         said = capsys.readouterr().err
         assert (sentence in said, said.count("\n"), copy.read_text()) == (True, 1, "the page"), said
-
-
-def test_check_reports_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(play, "PAGE", tmp_path / "play.html")
-    assert check.has_page() == "built at the first `jackbox play`"  # of a checkout
-    monkeypatch.setattr(check, "in_checkout", lambda: False)
-    with pytest.raises(FileNotFoundError, match="built without its page"):
-        check.has_page()
-    play.PAGE.touch()
-    assert "opens it" in check.has_page()
 
 
 @pytest.fixture
