@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from jackbox_env.measure.chain import Indices
 from jackbox_env.measure.recordings import Recording
@@ -33,6 +32,12 @@ from jackbox_env.model.states import (
     Y_JACK,
     Array,
 )
+from jackbox_env.tools import checks as check
+
+try:
+    from scipy.optimize import least_squares
+except ImportError as error:
+    raise ImportError(check.extra_needed("jackbox_env.fit", "scipy", "train")) from error
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)

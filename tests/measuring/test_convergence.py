@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Recording, Scene, fit, rollout
-from jackbox_env.measure import fitting
+from jackbox_env.measure import fitting, search
 from jackbox_env.measure.chain import Rows, minimise
 from jackbox_env.measure.residuals import jumps
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
@@ -79,21 +79,21 @@ def test_an_open_link_weighs_the_same_in_scenes_of_any_length_and_speed(length: 
 
 
 def test_links_that_stay_open_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fitting, "_LINK_SLACKS", (1.0, 0.3))  # never tightened
+    monkeypatch.setattr(fitting, "LINK_SLACKS", (1.0, 0.3))  # never tightened
     problems = fit(filmed(LAB), FIELDS, LAB).problems
     assert any("links between windows are open, by up to" in problem for problem in problems), problems
 
 
 def test_a_motion_that_is_followed_in_pieces_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = fitting._Search._solve
+    solve = search.Search.solve
 
-    def apart(self: fitting._Search, *arguments: Any, **keywords: Any) -> Any:
-        fitting._unlink(self._windows, range(len(self._windows)))
+    def apart(self: search.Search, *arguments: Any, **keywords: Any) -> Any:
+        search.unlink(self.windows, range(len(self.windows)))
         return solve(self, *arguments, **keywords)
 
     recording = filmed(LAB)
     assert not any("in pieces" in problem for problem in fit(recording, FIELDS, LAB).problems)
-    monkeypatch.setattr(fitting._Search, "_solve", apart)
+    monkeypatch.setattr(search.Search, "solve", apart)
     problems = fit(recording, FIELDS, LAB).problems
     assert any(problem.startswith("only 0 of ") and "in pieces" in problem for problem in problems), problems
 
