@@ -26,7 +26,7 @@ from jackbox_env.measure.residuals import (
 from jackbox_env.measure.result import Fit
 from jackbox_env.measure.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
 from jackbox_env.measure.shooting import Parameters, Shooting
-from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Y_JACK, Array
+from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
 from jackbox_env.tools import checks as check
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
@@ -95,9 +95,10 @@ def _problems(
     if away > _MOST_CONTRADICTED:
         wrong = f"{name}, or something else that is not fitted, is wrong"
         yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
-    for rows_of, one in zip(search.bad_rows, search.recordings, strict=True):
-        if len(rows_of) > MOST_BAD * len(one.states):
-            yield f"{len(rows_of)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
+    for number, one in enumerate(search.recordings):
+        spoilt = search.spoilt(number)
+        if spoilt > MOST_BAD * len(one.states):
+            yield f"{spoilt} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
     if skipped > MOST_SKIPPED * sum(
         search.recordings[one.recording].dt * (one.last - one.first) for one in search.windows
     ):
@@ -134,8 +135,8 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
                 continue
             column = X_JACK + int(np.nanargmax(abs(off) / noise))
             distance = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
-            lost = (recorded[row, [X_JACK, Y_JACK]] == 0.0).all()
-            yield f"row {row}{recording}: {'x_jack and y_jack are 0, as of a lost frame' if lost else distance}"
+            text = "x_jack and y_jack are 0, as of a lost frame" if search.lost(number, row) else distance
+            yield f"row {row}{recording}: {text}"
 
 
 def _not_followed(search: Search) -> tuple[int, float]:

@@ -18,7 +18,7 @@ from jackbox_env.measure.flights import flights_of, spikes_of
 from jackbox_env.measure.recordings import Recording, rough_noise
 from jackbox_env.measure.residuals import highest_mean_square, leverage, misfitting
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, motions, units
-from jackbox_env.model.states import THETA_JACK, Array
+from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
@@ -28,7 +28,8 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
-FAR, MOST_BAD = 6.0, 0.05  # standard deviations of a row that is bad, and the share of such rows
+FAR = 6.0  # standard deviations of a row that is bad
+MOST_BAD = 0.05  # share of such rows, without lost frames
 MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 
@@ -58,6 +59,14 @@ class Search:
         self.fewest = 1  # windows that stay
         self.between_flights = False  # whether windows are cut between flights
         self.numbers = parameters.of(parameters.start)
+
+    def lost(self, number: int, row: int) -> bool:
+        """Whether a bad row is of a lost frame, which trackers write as zeros."""
+        return not self.recorded[number].states[row, X_JACK : Y_JACK + 1].any()
+
+    def spoilt(self, number: int) -> int:
+        """How many rows of a recording are bad, without lost frames."""
+        return sum(not self.lost(number, row) for row in self.bad_rows[number])
 
     def settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""

@@ -189,3 +189,16 @@ def test_rows_that_agree_with_the_fitted_motion_are_no_bad_rows() -> None:
     elastic = LAB.changed(restitution=1.0)
     for seed in range(3):
         assert fit(filmed(elastic, seed=seed), FIELDS, elastic).bad_rows == ()
+
+
+def test_lost_frames_of_zeros_are_like_missing_rows_and_other_bad_rows_are_few() -> None:
+    recording, rng = filmed(LAB), np.random.default_rng(2)
+    rows = np.sort(rng.choice(np.arange(1, len(recording.states)), 30, replace=False))  # of 151
+    recording.states[rows, 3:6] = 0.0
+    fitted = fit(recording, FIELDS, far(LAB))
+    assert fitted.problems == ()
+    lost = [f"row {row}: x_jack and y_jack are 0, as of a lost frame" for row in rows.tolist()]
+    assert {*lost} <= {*fitted.bad_rows}, fitted.bad_rows
+    recording.states[rows, 3] = rng.uniform(0.05, 0.1, len(rows))
+    problems = fit(recording, FIELDS, LAB).problems
+    assert any("rows are off the jack's path" in problem for problem in problems), problems
