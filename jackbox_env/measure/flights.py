@@ -59,9 +59,9 @@ class Flights(NamedTuple):
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     scatter: Array  # standard deviation of these lines at the middle of a flight, in the noise's, (n,)
-    # Steps from the middle of a lasting flight to that of the next one, by the flight's index; only if the next one
-    # follows after an impact or a short hop, else the jack rests in between or its bounces pile up.
-    spans: dict[int, tuple[int, int]]
+    spans: dict[int, tuple[int, int]]  # steps from the middle of a lasting flight to the next one's, by its index
+    # The spans of which the next flight follows after an impact or a short hop; in the others the jack may rest.
+    flown: list[tuple[int, int]]
 
 
 def falls(recording: Recording, scene: Scene) -> Array:
@@ -111,12 +111,10 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
         return None
     middles[long[0]] = first[long[0]]
     hop = max(_CLOSE, least / recording.dt)
-    spans = {
-        before: (int(middles[before]), int(middles[after]))
-        for before, after in pairwise(long.tolist())
-        if first[after] - last[before] <= hop
-    }
-    return Flights(first, last, lasting, lines, scatter, spans)
+    pairs = [*pairwise(long.tolist())]
+    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairs}
+    flown = [spans[before] for before, after in pairs if first[after] - last[before] <= hop]
+    return Flights(first, last, lasting, lines, scatter, spans, flown)
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:

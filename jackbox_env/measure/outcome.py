@@ -148,8 +148,8 @@ def _not_followed(search: Search) -> tuple[int, float]:
             joints += sum(window.recording == number for window in search.windows) - 1
             steps = max(0, int(missing.sum()) - search.resting_steps[number])
         else:
-            joints += sum(one[1] == other[0] for one, other in pairwise(flights.spans.values()))
-            steps = sum(int(missing[first:last].sum()) for first, last in flights.spans.values())
+            joints += sum(one[1] == other[0] for one, other in pairwise(flights.flown))
+            steps = sum(int(missing[first:last].sum()) for first, last in flights.flown)
         seconds += steps * search.recordings[number].dt
     return joints, seconds
 
