@@ -82,39 +82,64 @@ def go_on(search: Search) -> None:
 
 
 def cut_all(search: Search) -> None:
-    """Cut all recordings into windows."""
-    guesses = _guessed(search)
-    search.between_flights = any(guess is not None for guess in guesses)
-    for number, recording in enumerate(search.recordings):
-        before, guess = len(search.windows), guesses[number]
-        if guess is not None:
-            _cut_between(search, number, guess)
-        if len(search.windows) == before:
-            search.left_out = [window for window in search.left_out if window.recording != number]
-            if number:
-                _cut(search, number, state_at(recording))
-            else:
-                _cut_first(search)
+    """Cut all recordings into windows.
 
-
-def _guessed(search: Search) -> list[Guess | None]:
-    """Set the fields' numbers to those that the impacts determine, and return guesses if these are all."""
-    scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
+    Between flights, if impacts determine the fields: from the guess of all recordings together, or from the one of a
+    single recording if that explains more. Recordings without windows are then cut one step after the other.
+    """
+    scene, fields = search.parameters.start, search.parameters.fields
     guesses = [
-        None if flights is None else guess_of(recording, scene, flights, search.noise, fields)
-        for recording, flights in zip(search.recordings, search.flights, strict=True)
+        None if flights is None else guess_of(one, scene, flights, search.noise, fields)
+        for one, flights in zip(search.recordings, search.flights, strict=True)
     ]
+    known = [[one] for one in guesses if one is not None]
+    candidates = [_combined(search, some) for some in ([one for (one,) in known], *(known if len(known) > 1 else ()))]
+    furthest, best = -1, (candidates[0][0], candidates[0][1], list[Window](), list[Window]())
+    for numbers, width, complete in candidates:
+        if not complete:
+            continue
+        search.numbers, search.first_width, search.windows, search.left_out = numbers, width, [], []
+        for number, guess in enumerate(guesses):
+            if guess is not None:
+                _cut_between(search, number, guess)
+        covered = sum(window.last - window.first for window in search.windows)
+        if covered > furthest:
+            furthest, best = covered, (numbers, width, search.windows, search.left_out)
+        if len({window.recording for window in search.windows}) == len(known):
+            break
+    search.numbers, search.first_width, search.windows, search.left_out = best
+    search.between_flights = furthest >= 0
+    _cut_others(search)
+
+
+def _cut_others(search: Search) -> None:
+    """Cut the recordings that have no windows yet, one step after the other."""
+    cut = {window.recording for window in search.windows}
+    search.left_out = [window for window in search.left_out if window.recording in cut]
+    for number in [one for one in range(len(search.recordings)) if one not in cut]:
+        numbers, before = search.numbers, len(search.windows)
+        if before:
+            _cut(search, number, state_at(search.recordings[number]))
+        else:
+            _cut_first(search, number)
+        if len(search.windows) == before:
+            search.numbers = numbers
+    search.windows.sort(key=lambda one: (one.recording, one.first))
+    search.link()
+
+
+def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array, bool]:
+    """The fields' numbers by the surest of guesses, their widths, and whether all fields are determined."""
+    scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
     for guess in guesses:
-        for name, value in guess.values.items() if guess else ():
+        for name, value in guess.values.items():
             best[name] = min(best.get(name, value), value, key=lambda one: one[1])
     deviations = np.array([best.get(name, (0.0, np.inf))[1] for name in fields])
-    search.first_width = 3.0 * deviations
     sure = {name: best[name][0] for name, deviation in zip(fields, deviations, strict=True) if deviation < _SURE}
     if "restitution" in sure:
         sure["restitution"] = min(sure["restitution"], 1.0)
-    known = search.parameters.of(scene.changed(**sure))
-    search.numbers = np.clip(known, search.parameters.low, search.parameters.high)
-    return guesses if len(sure) == len(fields) else [None] * len(guesses)
+    numbers = np.clip(search.parameters.of(scene.changed(**sure)), search.parameters.low, search.parameters.high)
+    return numbers, 3.0 * deviations, len(sure) == len(fields)
 
 
 def _cut_between(search: Search, number: int, guess: Guess) -> None:
@@ -128,25 +153,25 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
     search.link()
 
 
-def _cut_first(search: Search) -> None:
+def _cut_first(search: Search, number: int) -> None:
     """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
     furthest, best = -1, (search.numbers, search.windows, 0)
-    for numbers, state in list(_first_guesses(search)):
-        search.numbers, search.windows, search.resting_steps[0] = numbers, [], 0
+    for numbers, state in list(_first_guesses(search, number)):
+        search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
         search.progress.reset()
-        complete = _cut(search, 0, state)
+        complete = _cut(search, number, state)
         covered = sum(window.last - window.first for window in search.windows)
         if covered > furthest:
-            furthest, best = covered, (search.numbers, search.windows, search.resting_steps[0])
+            furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
         if complete:
             break
-    search.numbers, search.windows, search.resting_steps[0] = best
+    search.numbers, search.windows, search.resting_steps[number] = best
 
 
-def _first_guesses(search: Search) -> Iterator[tuple[Array, Array]]:
+def _first_guesses(search: Search, number: int) -> Iterator[tuple[Array, Array]]:
     """Guesses of the fields' numbers and of the first state."""
-    first, numbers, positive = state_at(search.recordings[0]), search.numbers, search.parameters.logarithmic
-    for angle in (0.0,) if np.isfinite(search.recordings[0].states[0, THETA_JACK]) else _TRIAL_ANGLES:
+    first, numbers, positive = state_at(search.recordings[number]), search.numbers, search.parameters.logarithmic
+    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
         yield numbers, first + angle * np.eye(12)[THETA_JACK]
     for factor in (0.7, 1.4):
         scaled = np.clip(numbers * factor, 0.0, search.parameters.high)

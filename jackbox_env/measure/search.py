@@ -59,6 +59,7 @@ class Search:
         self.fewest = 1  # windows that stay
         self.between_flights = False  # whether windows are cut between flights
         self.numbers = parameters.of(parameters.start)
+        self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
 
     def lost(self, number: int, row: int) -> bool:
         """Whether a bad row is of a lost frame, which trackers write as zeros."""
