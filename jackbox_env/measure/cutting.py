@@ -31,7 +31,7 @@ def leave_out_bad_rows(search: Search) -> None:
     for number, states in enumerate(search.motions()[0]):
         off = (search.recordings[number].states - states)[:, X_JACK:RATES]
         far = np.flatnonzero((abs(off) > FAR * search.noise[X_JACK:RATES]).any(axis=1)).tolist()
-        if len(far) + search.spoilt(number) <= MOST_BAD * len(states):
+        if len(far) + len(search.bad_rows[number]) <= MOST_BAD * len(states):
             search.bad_rows[number].update((row, off[row]) for row in far)
             search.recordings[number] = search.recordings[number].without(far)
 

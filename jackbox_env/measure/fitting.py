@@ -25,7 +25,6 @@ from jackbox_env.measure.result import Fit
 from jackbox_env.measure.search import LINK_SLACKS, Search
 from jackbox_env.measure.shooting import Parameters, Shooting
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import THETA_JACK
 from jackbox_env.tools import checks as check
 
 try:
@@ -33,6 +32,7 @@ try:
 except ImportError as error:
     raise ImportError(check.extra_needed("jackbox_env.fit", "tqdm", "train")) from error
 
+_LEAST_SEEN = 10  # rows and impacts; fewer determine no field and no noise
 _FIRST_SLACKS = 0.3, 0.1, 0.03, 0.01  # before windows are added that follow
 _MAY_DROP, _MOST_DROPPED = 2, 0.1  # windows, or their share, that may turn out not to fit as links are tightened
 
@@ -47,7 +47,7 @@ def fit(
 
     >>> from jackbox_env import rollout
     >>> torques = np.repeat([2e4, -3e4, 1e4, -1e4], 40)  # [N m]
-    >>> states = rollout(Scene(jack_mass=6.0), 0.3 * np.eye(12)[THETA_JACK], torques, dt=0.02)[0]
+    >>> states = rollout(Scene(jack_mass=6.0), 0.3 * np.eye(12)[5], torques, dt=0.02)[0]
     >>> found = fit(Recording(states, torques, dt=0.02), ["jack_mass"])
     >>> round(found.scene.jack_mass, 6), found.converged
     (6.0, True)
@@ -75,20 +75,26 @@ def fit(
     if len({*fields}) < len(fields):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
+    known = known_noise(noise)
+    seen = sum(int(np.isfinite(one.states).any(axis=1).sum()) for one in several)
+    seen += sum(len(one.impacts) for one in several if one.impacts is not None)
+    if seen < _LEAST_SEEN:
+        least = f"at least {_LEAST_SEEN} rows in which something was observed, or impacts that were heard"
+        raise ValueError(f"recordings must have {least}, got {seen}")
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        arguments = list(several), parameters, known_noise(noise), bar
+        arguments = list(several), parameters, known, bar
         search = Search(*arguments)
         try:
             estimate = _fitted(search)
         except ValueError:  # no part agrees
             if not search.between_flights:
                 raise
-            return _fitted(Search(*arguments, from_start=True))
-        if search.between_flights and not estimate.converged:
+            return _fitted(Search(*arguments, before=search))
+        if search.between_flights and search.work > 0.0 and not estimate.converged:
             with suppress(ValueError):
-                other = _fitted(Search(*arguments, from_start=True))
+                other = _fitted(Search(*arguments, before=search))
                 return other if other.converged else estimate
         return estimate
 
@@ -132,4 +138,3 @@ def _refuse_nothing(search: Search) -> None:
             "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
             f"{noise}, or whether the jack moves"
         )
-

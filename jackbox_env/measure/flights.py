@@ -130,8 +130,7 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
     straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    spikes = _zeros_of(recording, scene)
-    straight[[*spikes]] = np.nan
+    spikes = dict[int, Array]()
     rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
@@ -153,17 +152,18 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     return spikes
 
 
-def _zeros_of(recording: Recording, scene: Scene) -> dict[int, Array]:
+def lost_frames_of(recording: Recording, scene: Scene) -> list[int]:
     """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere before and after."""
     jack = recording.states[:, _JACK]
     zeros = (jack[:, :2] == 0.0).all(axis=1)
     others, rows = np.flatnonzero(np.isfinite(jack).all(axis=1) & ~zeros), np.flatnonzero(zeros)
     if not len(others):
-        return {}
+        return []
     after = np.searchsorted(others, rows)
     near = jack[others[np.stack([np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)])]]
     far = np.hypot(near[:, :, 0], near[:, :, 1]).min(axis=0) > _ELSEWHERE * scene.box_half_width
-    return {int(row): jack[row] - near[:, index].mean(axis=0) for index, row in enumerate(rows) if far[index]}
+    lost: list[int] = rows[far].tolist()
+    return lost
 
 
 def _merged(times: Any, values: Array) -> Indices:

@@ -27,7 +27,6 @@ from jackbox_env.measure.result import Fit
 from jackbox_env.measure.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
 from jackbox_env.measure.shooting import Parameters, Shooting
 from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
-from jackbox_env.tools import checks as check
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
@@ -58,15 +57,13 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
         {name: float(search.noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
         states,
         left_out,
-        tuple(_problems(search, ended, rows, autocorrelations(rows, projections), residuals, left_out, covered)),
+        tuple(_problems(search, ended, rows, autocorrelations(rows, projections), residuals)),
         tuple(_bad_row_sentences(search)),
-        _not_followed(search)[1],
+        sum(_not_followed(search)[1]),
     )
 
 
-def _problems(
-    search: Search, ended: bool, rows: Rows, deviations: Array, held_out: Array, left_out: int, covered: int
-) -> Iterator[str]:
+def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_out: Array) -> Iterator[str]:
     """Why the intervals are not to be trusted, in sentences."""
     if not ended:
         yield "the search did not end"
@@ -76,9 +73,6 @@ def _problems(
     if (gaps > _WIDEST_JUMP).any():
         open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in search.windows)} links"
         yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
-    followed_ones = {window.recording for window in search.windows}
-    for number in [one for one in range(len(search.recordings)) if one not in followed_ones]:
-        yield f"no part of recording {number} agrees with the scene"
     links, (joints, skipped) = sum(one.linked for one in search.windows), _not_followed(search)
     if 2 * links < joints:
         yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
@@ -95,14 +89,16 @@ def _problems(
     if away > _MOST_CONTRADICTED:
         wrong = f"{name}, or something else that is not fitted, is wrong"
         yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
-    for number, one in enumerate(search.recordings):
-        spoilt = search.spoilt(number)
-        if spoilt > MOST_BAD * len(one.states):
-            yield f"{spoilt} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-    if skipped > MOST_SKIPPED * sum(
-        search.recordings[one.recording].dt * (one.last - one.first) for one in search.windows
-    ):
-        yield f"the jack moves in {skipped:.2g} s that the scene does not explain"
+    for bad, one in zip(search.bad_rows, search.recordings, strict=True):
+        if len(bad) > MOST_BAD * len(one.states):
+            yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
+    for number, (one, seconds) in enumerate(zip(search.recordings, skipped, strict=True)):
+        covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
+        if not covered:
+            yield f"no part of recording {number} agrees with the scene"
+        elif seconds > MOST_SKIPPED * covered:
+            where = f" of recording {number}" * (len(skipped) > 1)
+            yield f"the jack moves in {seconds:.2g} s{where} that the scene does not explain"
     if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
         yield "windows that were held out do not fit within the noise"
 
@@ -129,19 +125,20 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
     for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions()[0], strict=True)):
         recorded, noise = search.recorded[number].states, search.noise[X_JACK:RATES]
         recording = f" of recording {number}" * (len(search.bad_rows) > 1)
-        for row, off in sorted(rows.items()):
-            away = abs(recorded[row] - states[row])[X_JACK:RATES] / noise
-            if np.isfinite(away).any() and not (away > FAR).any():
-                continue
-            column = X_JACK + int(np.nanargmax(abs(off) / noise))
-            distance = f"{STATE_NAMES[column]} is {abs(off[column - X_JACK]):.2g} {STATE_UNITS[column]} off"
-            text = "x_jack and y_jack are 0, as of a lost frame" if search.lost(number, row) else distance
+        for row in sorted([*rows, *search.lost_frames[number]]):
+            text = "x_jack and y_jack are 0, as of a lost frame"
+            if row in rows:
+                off, away = abs(rows[row]), abs(recorded[row] - states[row])[X_JACK:RATES] / noise
+                if np.isfinite(away).any() and not (away > FAR).any():
+                    continue
+                column = int(np.nanargmax(off / noise))
+                text = f"{STATE_NAMES[X_JACK + column]} is {off[column]:.2g} {STATE_UNITS[X_JACK + column]} off"
             yield f"row {row}{recording}: {text}"
 
 
-def _not_followed(search: Search) -> tuple[int, float]:
-    """How many windows should be linked to the next one, and the time in none though the jack moves there [s]."""
-    joints, seconds = 0, 0.0
+def _not_followed(search: Search) -> tuple[int, list[float]]:
+    """How many windows should be linked to the next one, and by recording how long the jack moves in none [s]."""
+    joints, seconds = 0, list[float]()
     for number, (modelled, flights) in enumerate(zip(search.motions()[0], search.flights, strict=True)):
         missing = np.isnan(modelled[1:, X_JACK])
         if flights is None:
@@ -150,7 +147,7 @@ def _not_followed(search: Search) -> tuple[int, float]:
         else:
             joints += sum(one[1] == other[0] for one, other in pairwise(flights.flown))
             steps = sum(int(missing[first:last].sum()) for first, last in flights.flown)
-        seconds += steps * search.recordings[number].dt
+        seconds.append(steps * search.recordings[number].dt)
     return joints, seconds
 
 

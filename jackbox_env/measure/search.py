@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.measure.chain import Chain, Indices, Rows, minimise
-from jackbox_env.measure.flights import flights_of, spikes_of
+from jackbox_env.measure.flights import flights_of, lost_frames_of, spikes_of
 from jackbox_env.measure.recordings import Recording, rough_noise
 from jackbox_env.measure.residuals import highest_mean_square, leverage, misfitting
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, motions, units
-from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array
+from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
@@ -28,26 +28,37 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
+# Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
+# They take about as long as the recordings; most fits that converge need a third.
+_MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1e4, 160, 4.0, 3
 FAR = 6.0  # standard deviations of a row that is bad
-MOST_BAD = 0.05  # share of such rows, without lost frames
+MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 
 class Search:
-    """One fit: its windows, and the present values of the fields' numbers and of the noise."""
+    """One fit: its windows, and the present values of the fields' numbers and of the noise.
+
+    After another search, ``before``, it does not begin with flights, and has the work that that one has left.
+    """
 
     def __init__(
         self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any,
-        from_start: bool = False,
+        before: Search | None = None,
     ) -> None:  # fmt: skip
         self.progress = progress  # a bar of tqdm
+        seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
+        most = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
+        self.work: float = most if before is None else before.work  # steps that may still be evaluated
         self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
-        rough = rough_noise(recordings, np.append(self.units, 1.0))
+        self.lost_frames = [lost_frames_of(one, parameters.start) for one in recordings]
+        seen = [one.without(rows) for one, rows in zip(recordings, self.lost_frames, strict=True)]
+        rough = rough_noise(seen, np.append(self.units, 1.0))
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
-        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in recordings]
-        self.recordings = [one.without(rows) for one, rows in zip(recordings, self.bad_rows, strict=True)]
-        from_start = from_start or "gravity" in parameters.fields  # flights need it
+        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in seen]
+        self.recordings = [one.without(rows) for one, rows in zip(seen, self.bad_rows, strict=True)]
+        from_start = before is not None or "gravity" in parameters.fields  # flights need it
         self.flights = [
             None if from_start else flights_of(one, parameters.start, self.noise) for one in self.recordings
         ]
@@ -60,14 +71,6 @@ class Search:
         self.between_flights = False  # whether windows are cut between flights
         self.numbers = parameters.of(parameters.start)
         self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
-
-    def lost(self, number: int, row: int) -> bool:
-        """Whether a bad row is of a lost frame, which trackers write as zeros."""
-        return not self.recorded[number].states[row, X_JACK : Y_JACK + 1].any()
-
-    def spoilt(self, number: int) -> int:
-        """How many rows of a recording are bad, without lost frames."""
-        return sum(not self.lost(number, row) for row in self.bad_rows[number])
 
     def settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
@@ -101,20 +104,26 @@ class Search:
         return rows
 
     def solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
-        """Optimise the windows' starts, and the fields too if they are ``free``.
+        """Optimise the windows' starts, and the fields too if they are ``free``, while work is left.
 
         Returns whether the search ended, and the windows that block it.
         """
         fixed = np.zeros(0) if free else self.numbers
         first, noise, scaled_slack = shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack)
+        work = sum(
+            (one.last - one.first) * (_OF_DRIVE if self.recordings[one.recording].torques is None else 1)
+            for one in shooting.windows
+        )
 
         def evaluate(unknowns: Array) -> Rows | None:
             self.progress.refresh()
+            self.work -= work
             rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
             width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
             return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
 
         low, high = (bound[len(fixed) :] for bound in (self.parameters.low, self.parameters.high))
+        most = most if self.work > 0.0 else 0
         unknowns, ended, blocking = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
         self.numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
         return ended, blocking
