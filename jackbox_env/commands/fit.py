@@ -18,6 +18,7 @@ import numpy as np
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, add_torque_column, chosen_scene, parser_of
 from jackbox_env.measure.torques import TORQUE_KINDS
+from jackbox_env.model.states import RATES, X_JACK
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
@@ -222,7 +223,8 @@ def main() -> None:
     result = fit(recordings, arguments.fields, start, noise=noise, progress=True)
     print(f"... took {time.perf_counter() - began:.1f} s", file=sys.stderr)
     print(_printed(table_of(result, start)), *sentences(result, recordings), sep="\n")
-    if not (result.converged or arguments.torque_column) and any(one.torques is not None for one in recordings):
+    jack_seen = [one for one in recordings if np.isfinite(one.states[:, X_JACK:RATES]).any()]
+    if not (result.converged or arguments.torque_column) and any(one.torques is not None for one in jack_seen):
         results = {"held": result}
         for kind in TORQUE_KINDS[1:]:
             with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from jackbox_env.measure.chain import Indices
 from jackbox_env.measure.recordings import Recording
@@ -33,6 +32,12 @@ from jackbox_env.model.states import (
     Y_JACK,
     Array,
 )
+from jackbox_env.tools import checks as check
+
+try:
+    from scipy.optimize import least_squares
+except ImportError as error:
+    raise ImportError(check.extra_needed("jackbox_env.fit", "scipy", "train")) from error
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)
@@ -54,9 +59,9 @@ class Flights(NamedTuple):
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     scatter: Array  # standard deviation of these lines at the middle of a flight, in the noise's, (n,)
-    # Steps from the middle of a lasting flight to that of the next one, by the flight's index; only if the next one
-    # follows after an impact or a short hop, else the jack rests in between or its bounces pile up.
-    spans: dict[int, tuple[int, int]]
+    spans: dict[int, tuple[int, int]]  # steps from the middle of a lasting flight to the next one's, by its index
+    # The spans of which the next flight follows after an impact or a short hop; in the others the jack may rest.
+    flown: list[tuple[int, int]]
 
 
 def falls(recording: Recording, scene: Scene) -> Array:
@@ -106,12 +111,10 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
         return None
     middles[long[0]] = first[long[0]]
     hop = max(_CLOSE, least / recording.dt)
-    spans = {
-        before: (int(middles[before]), int(middles[after]))
-        for before, after in pairwise(long.tolist())
-        if first[after] - last[before] <= hop
-    }
-    return Flights(first, last, lasting, lines, scatter, spans)
+    pairs = [*pairwise(long.tolist())]
+    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairs}
+    flown = [spans[before] for before, after in pairs if first[after] - last[before] <= hop]
+    return Flights(first, last, lasting, lines, scatter, spans, flown)
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
@@ -127,8 +130,7 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
     straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    spikes = _zeros_of(recording, scene)
-    straight[[*spikes]] = np.nan
+    spikes = dict[int, Array]()
     rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
@@ -150,17 +152,18 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Arr
     return spikes
 
 
-def _zeros_of(recording: Recording, scene: Scene) -> dict[int, Array]:
+def lost_frames_of(recording: Recording, scene: Scene) -> list[int]:
     """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere before and after."""
     jack = recording.states[:, _JACK]
     zeros = (jack[:, :2] == 0.0).all(axis=1)
     others, rows = np.flatnonzero(np.isfinite(jack).all(axis=1) & ~zeros), np.flatnonzero(zeros)
     if not len(others):
-        return {}
+        return []
     after = np.searchsorted(others, rows)
     near = jack[others[np.stack([np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)])]]
     far = np.hypot(near[:, :, 0], near[:, :, 1]).min(axis=0) > _ELSEWHERE * scene.box_half_width
-    return {int(row): jack[row] - near[:, index].mean(axis=0) for index, row in enumerate(rows) if far[index]}
+    lost: list[int] = rows[far].tolist()
+    return lost
 
 
 def _merged(times: Any, values: Array) -> Indices:

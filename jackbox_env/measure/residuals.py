@@ -1,7 +1,7 @@
 """Statistics of a fit's residuals: degrees of freedom, whiteness, identifiability, held-out errors.
 
 Pure functions of :class:`jackbox_env.measure.chain.Rows` and :class:`jackbox_env.measure.chain.Chain`: residuals r and
-their Jacobian J by the scene's fields and the windows' starts. :mod:`jackbox_env.measure.fitting` uses them.
+their Jacobian J by the scene's fields and the windows' starts. :mod:`jackbox_env.measure.outcome` uses them.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from tests.states import Array
 DT = 0.02
 TRUE = Scene(jack_mass=12.0, restitution=0.85, drive=None)
 START = Scene(jack_mass=9.0, drive=None)
+EMPTY_BUT_9 = np.where(np.arange(20)[:, None] < 9, np.zeros(12), np.nan)  # states
 
 
 def recorded(
@@ -331,6 +332,8 @@ def test_unusable_recordings_are_refused(change: dict[str, Any], complaint: str)
         ({"fields": [["gravity"]]}, "a field must be one of 'gravity'"),
         ({"fields": ("gravity", "gravity")}, "fields must be different names"),
         ({"noise": {"x": 1.0}}, "noise accepts only 'x_box'"),
+        ({}, "recordings must have at least 10 rows in which something was observed, or impacts that were .*, got 4"),
+        ({"recordings": [Recording(EMPTY_BUT_9, np.zeros(19), DT)]}, "at least 10 rows in which .*, got 9"),
     ],
 )
 def test_unusable_arguments_of_fits_are_refused(change: dict[str, Any], complaint: str) -> None:

@@ -146,3 +146,17 @@ def test_simulate_plays_the_torques_that_fit_reads(
     with pytest.raises(SystemExit):
         command.main()
     assert "--torque-column goes with a column torque, which no file has" in capsys.readouterr().err
+
+
+def test_kinds_of_torques_are_not_compared_if_the_jack_was_never_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states, samples = measured("sampled")
+    monkeypatch.chdir(tmp_path)
+    rows = np.column_stack([np.arange(len(states)) / RATE, states[:, :3], samples])
+    np.savetxt("box.csv", rows, delimiter=",", header=",".join(["time", *STATE_NAMES[:3], "torque"]))
+    monkeypatch.setattr(sys, "argv", ["jackbox fit", "box.csv"])
+    command.main()
+    out, err = capsys.readouterr()
+    assert "Not converged" in out
+    assert "torques fit better" not in err

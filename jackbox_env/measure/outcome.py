@@ -1,0 +1,169 @@
+"""The outcome of a search: intervals of the fields, and the reasons not to trust them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import stats
+
+from jackbox_env.exact.tangents import FIELDS
+from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Rows
+from jackbox_env.measure.recordings import IMPACT, pushed
+from jackbox_env.measure.residuals import (
+    autocorrelations,
+    degrees_of_freedom,
+    highest_mean_square,
+    identified,
+    jumps,
+    misfitting,
+    relative_masses,
+    studentised,
+    unidentified_sentence,
+)
+from jackbox_env.measure.result import Fit
+from jackbox_env.measure.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
+from jackbox_env.measure.shooting import Parameters, Shooting
+from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
+
+_MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
+_WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
+_MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
+
+
+def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
+    """The result of a search with its last rows; whether it ended there."""
+    numbers, parameters, rows = search.numbers.copy(), search.parameters, chain.rows
+    (covariance, unidentified), projections = identified(chain), chain.projections()
+    freedom = degrees_of_freedom(rows, projections, unidentified, ~np.isfinite(search.known_noise))
+    half_widths = stats.t.ppf(0.975, np.clip(freedom, 1.0, 1e9)) * np.sqrt(np.diag(covariance))
+    half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
+    least = np.where(parameters.logarithmic, -np.inf, 0.0)
+    most = np.where(parameters.logarithmic, np.inf, parameters.high)
+    ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
+    states, covered = search.motions()
+    left_out = sum(len(one.states) - 1 for one in search.recordings) - covered
+    residuals = _held_out_residuals(search, covariance)
+    unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
+    if not any(pushed(one, parameters.start) for one in search.recordings):
+        unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
+    return Fit(
+        parameters.scene(numbers),
+        {name: (float(low), float(high)) for name, low, high in zip(parameters.fields, *ends, strict=True)},
+        residuals,
+        tuple(unknown),
+        {name: float(search.noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
+        states,
+        left_out,
+        tuple(_problems(search, ended, rows, autocorrelations(rows, projections), residuals)),
+        tuple(_bad_row_sentences(search)),
+        sum(_not_followed(search)[1]),
+    )
+
+
+def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_out: Array) -> Iterator[str]:
+    """Why the intervals are not to be trusted, in sentences."""
+    if not ended:
+        yield "the search did not end"
+    shooting = Shooting(search.recordings, search.parameters, search.windows)
+    present = search.rows(shooting, LINK_SLACKS[-1])  # for the noise as it was estimated last
+    gaps = jumps(present, len(search.windows), search.scaled_slack(LINK_SLACKS[-1]), search.scaled_slack(1.0))
+    if (gaps > _WIDEST_JUMP).any():
+        open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in search.windows)} links"
+        yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
+    links, (joints, skipped) = sum(one.linked for one in search.windows), _not_followed(search)
+    if 2 * links < joints:
+        yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
+    misfits, unheard = int(misfitting(rows, len(search.windows)).sum()), int((rows.column == UNHEARD).sum())
+    if misfits:
+        yield f"{misfits} of {len(search.windows)} windows do not fit within the noise"
+    if unheard:
+        yield f"the fitted motion lacks {unheard} of the impacts that were heard"
+    names = *STATE_NAMES, IMPACT, "all numbers together"
+    correlated = [name for name, value in zip(names, deviations, strict=True) if value > _MOST_CORRELATED]
+    if correlated:
+        yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
+    name, away = _contradicted(search, present)
+    if away > _MOST_CONTRADICTED:
+        wrong = f"{name}, or something else that is not fitted, is wrong"
+        yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
+    for bad, one in zip(search.bad_rows, search.recordings, strict=True):
+        if len(bad) > MOST_BAD * len(one.states):
+            yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
+    for number, (one, seconds) in enumerate(zip(search.recordings, skipped, strict=True)):
+        covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
+        if not covered:
+            yield f"no part of recording {number} agrees with the scene"
+        elif seconds > MOST_SKIPPED * covered:
+            where = f" of recording {number}" * (len(skipped) > 1)
+            yield f"the jack moves in {seconds:.2g} s{where} that the scene does not explain"
+    if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
+        yield "windows that were held out do not fit within the noise"
+
+
+def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
+    """The field that would move furthest if it was fitted, too, and by how many standard deviations."""
+    scene, names = replace(search.parameters.scene(search.numbers)), [*FIELDS]  # in which no inertia follows
+    for name in search.parameters.fields:
+        names.remove(name)
+    parameters, slack = Parameters(names, scene), search.scaled_slack(LINK_SLACKS[-1])
+    shooting = Shooting(search.recordings, parameters, search.windows)
+    shooting.units = search.units
+    others = shooting.rows(shooting.unknowns(parameters.of(scene)), search.noise, slack)
+    if others is None or not names:  # rounding has changed what can be followed
+        return "", 0.0
+    together = rows._replace(jacobian=np.column_stack([rows.jacobian, others.jacobian[:, 2 * WIDTH :]]))
+    moves = abs(Chain(together, len(search.windows)).moves(rows.fields))
+    furthest = int(np.argmax(moves))
+    return parameters.fields[furthest], float(moves[furthest])
+
+
+def _bad_row_sentences(search: Search) -> Iterator[str]:
+    """The rows that were left out, and how far the jack is off; not rows that agree with the fitted motion."""
+    for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions()[0], strict=True)):
+        recorded, noise = search.recorded[number].states, search.noise[X_JACK:RATES]
+        recording = f" of recording {number}" * (len(search.bad_rows) > 1)
+        for row in sorted([*rows, *search.lost_frames[number]]):
+            text = "x_jack and y_jack are 0, as of a lost frame"
+            if row in rows:
+                off, away = abs(rows[row]), abs(recorded[row] - states[row])[X_JACK:RATES] / noise
+                if np.isfinite(away).any() and not (away > FAR).any():
+                    continue
+                column = int(np.nanargmax(off / noise))
+                text = f"{STATE_NAMES[X_JACK + column]} is {off[column]:.2g} {STATE_UNITS[X_JACK + column]} off"
+            yield f"row {row}{recording}: {text}"
+
+
+def _not_followed(search: Search) -> tuple[int, list[float]]:
+    """How many windows should be linked to the next one, and by recording how long the jack moves in none [s]."""
+    joints, seconds = 0, list[float]()
+    for number, (modelled, flights) in enumerate(zip(search.motions()[0], search.flights, strict=True)):
+        missing = np.isnan(modelled[1:, X_JACK])
+        if flights is None:
+            joints += sum(window.recording == number for window in search.windows) - 1
+            steps = max(0, int(missing.sum()) - search.resting_steps[number])
+        else:
+            joints += sum(one[1] == other[0] for one, other in pairwise(flights.flown))
+            steps = sum(int(missing[first:last].sum()) for first, last in flights.flown)
+        seconds.append(steps * search.recordings[number].dt)
+    return joints, seconds
+
+
+def _held_out_residuals(search: Search, covariance: Array) -> Array:
+    """Studentised residuals of every fifth window, or the last of fewer, in fits without it."""
+    numbers, windows = search.numbers.copy(), [replace(one, start=one.start.copy()) for one in search.windows]
+    held_out = list(range(4, len(windows), 5)) or [len(windows) - 1][: len(windows) - 1]
+    if not held_out:
+        return np.zeros(0)
+    unlink(windows, held_out)
+    rest = [window for index, window in enumerate(windows) if index not in held_out]
+    search.solve(Shooting(search.recordings, search.parameters, rest), LINK_SLACKS[-1])
+    residuals = []
+    for index in held_out:
+        alone = Shooting(search.recordings, search.parameters, [windows[index]])
+        search.solve(alone, LINK_SLACKS[-1], free=False)
+        residuals.append(studentised(search.rows(alone, LINK_SLACKS[-1]), covariance))
+    search.numbers = numbers
+    return np.concatenate(residuals)

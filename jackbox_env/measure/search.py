@@ -1,0 +1,208 @@
+"""The search of a fit: least squares over windows of recordings, the fields' numbers and the noise.
+
+:mod:`jackbox_env.measure.cutting` finds the windows, :mod:`jackbox_env.measure.fitting` tightens their links, and
+:mod:`jackbox_env.measure.outcome` derives intervals and problems from what a search ends with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from jackbox_env.measure.chain import Chain, Indices, Rows, minimise
+from jackbox_env.measure.flights import flights_of, lost_frames_of, spikes_of
+from jackbox_env.measure.recordings import Recording, rough_noise
+from jackbox_env.measure.residuals import highest_mean_square, leverage, misfitting
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, motions, units
+from jackbox_env.model.states import THETA_JACK, Array
+
+_NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
+_NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
+LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4)  # from loose to tight, over the smallest noise
+_BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
+_PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
+_PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
+_PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
+_MOST_SETTLED = 12  # searches with one slack
+# Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
+# They take about as long as the recordings; most fits that converge need a third.
+_MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1e4, 160, 4.0, 3
+FAR = 6.0  # standard deviations of a row that is bad
+MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
+MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
+
+
+class Search:
+    """One fit: its windows, and the present values of the fields' numbers and of the noise.
+
+    After another search, ``before``, it does not begin with flights, and has the work that that one has left.
+    """
+
+    def __init__(
+        self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any,
+        before: Search | None = None,
+    ) -> None:  # fmt: skip
+        self.progress = progress  # a bar of tqdm
+        seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
+        most = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
+        self.work: float = most if before is None else before.work  # steps that may still be evaluated
+        self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
+        self.units = units(parameters.start)
+        self.lost_frames = [lost_frames_of(one, parameters.start) for one in recordings]
+        seen = [one.without(rows) for one, rows in zip(recordings, self.lost_frames, strict=True)]
+        rough = rough_noise(seen, np.append(self.units, 1.0))
+        self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
+        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in seen]
+        self.recordings = [one.without(rows) for one, rows in zip(seen, self.bad_rows, strict=True)]
+        from_start = before is not None or "gravity" in parameters.fields  # flights need it
+        self.flights = [
+            None if from_start else flights_of(one, parameters.start, self.noise) for one in self.recordings
+        ]
+        self.observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
+        self.block = _BLOCK if self.observed.all() else _INCOMPLETE_BLOCK
+        self.windows: list[Window] = []
+        self.resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
+        self.left_out: list[Window] = []  # that the model does not explain
+        self.fewest = 1  # windows that stay
+        self.between_flights = False  # whether windows are cut between flights
+        self.numbers = parameters.of(parameters.start)
+        self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
+
+    def settle(self, slack: float) -> bool:
+        """Optimise all windows, without those that block the search; return whether it ended."""
+        for _ in range(_MOST_SETTLED):
+            ended, blocking = self.solve(Shooting(self.recordings, self.parameters, self.windows), slack)
+            if ended or not 0 < len(blocking) <= len(self.windows) - self.fewest:
+                break
+            self.drop(blocking.tolist())
+        return ended
+
+    def drop(self, indices: Sequence[int]) -> None:
+        """Leave windows out, for :func:`jackbox_env.measure.cutting.resume`."""
+        unlink(self.windows, indices)
+        self.left_out += [self.windows[index] for index in indices]
+        self.windows = [window for index, window in enumerate(self.windows) if index not in indices]
+
+    def link(self) -> None:
+        """Link each window to the next one if that begins where it ends."""
+        for window, after in pairwise(self.windows):
+            window.linked = (window.recording, window.last) == (after.recording, after.first)
+
+    def scaled_slack(self, slack: float) -> float:
+        """A slack in units of the state."""
+        noise = (self.noise[:12] / self.units)[self.observed]
+        return slack * float(noise.min() if len(noise) else _NOISE_WITHOUT_STATES)
+
+    def rows(self, shooting: Shooting, slack: float) -> Rows:
+        """The residuals as they are, with links of a slack."""
+        rows = shooting.rows(shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack))
+        assert rows is not None  # the search has evaluated them here
+        return rows
+
+    def solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
+        """Optimise the windows' starts, and the fields too if they are ``free``, while work is left.
+
+        Returns whether the search ended, and the windows that block it.
+        """
+        fixed = np.zeros(0) if free else self.numbers
+        first, noise, scaled_slack = shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack)
+        work = sum(
+            (one.last - one.first) * (_OF_DRIVE if self.recordings[one.recording].torques is None else 1)
+            for one in shooting.windows
+        )
+
+        def evaluate(unknowns: Array) -> Rows | None:
+            self.progress.refresh()
+            self.work -= work
+            rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
+            width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
+            return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
+
+        low, high = (bound[len(fixed) :] for bound in (self.parameters.low, self.parameters.high))
+        most = most if self.work > 0.0 else 0
+        unknowns, ended, blocking = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
+        self.numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
+        return ended, blocking
+
+    def estimate_noise(self, chain: Chain) -> None:
+        """Estimate the unknown noise from residuals, with as many degrees of freedom as the unknowns leave."""
+        rows = chain.rows
+        freedom, least = 1.0 - leverage(rows, chain.projections()), _NOISE_FLOOR * np.append(self.units, 1.0)
+        for column in np.flatnonzero(~np.isfinite(self.known_noise)):
+            of_column = rows.column == column
+            count = float(freedom[of_column].sum())
+            if count > 1.0:
+                scale = math.sqrt(float((rows.residuals[of_column] ** 2).sum()) / count)
+                self.noise[column] = max(scale * self.noise[column], least[column])
+
+    def fit_alone(self, window: Window) -> bool:
+        """Fit a window near its start and near the fields' present numbers; return whether it is explained."""
+        recording, numbers = self.recordings[window.recording], self.numbers
+        if not followed(window, motion(recording, window, self.parameters, numbers)):
+            return False
+        explained = self.explained([window])
+        if not explained:
+            mean, width = self.prior([window])
+            width[: len(numbers)], width[len(numbers) :] = self.first_width, _PRIOR_FLIGHT_WIDTH
+            self.solve(Shooting(self.recordings, self.parameters, [window], (mean, width)), LINK_SLACKS[0], most=20)
+            explained = self.explained([window])
+        self.numbers = numbers
+        return explained
+
+    def fit_block(self, windows: list[Window], free: bool) -> bool:
+        """Fit windows together, the fields too if they are ``free``; return whether the last window is explained."""
+        block = Shooting(self.recordings, self.parameters, windows, self.prior(windows) if free else None)
+        if block.rows(block.unknowns(self.numbers), self.noise, 1.0) is None:
+            return False
+        self.solve(block, LINK_SLACKS[0], free=free, most=20)
+        return self.explained(windows)
+
+    def explained(self, windows: list[Window]) -> bool:
+        """Whether the last of these windows fits within the noise, as it is."""
+        block = Shooting(self.recordings, self.parameters, windows)
+        rows = block.rows(block.unknowns(self.numbers), self.noise, 1.0)
+        if rows is None:
+            return False
+        of_last = (rows.window == len(windows) - 1) & (rows.column >= 0)
+        if not of_last.any():
+            return True
+        return float(np.mean(rows.residuals[of_last] ** 2)) < highest_mean_square(int(of_last.sum()))
+
+    def prior(self, windows: list[Window]) -> tuple[Array, Array]:
+        """Mean and standard deviation of the fields' numbers and of the first start, shape (F + 12,)."""
+        count = len(self.numbers)
+        mean = np.concatenate([self.numbers, windows[0].start / self.units])
+        width = np.full(count + 12, _PRIOR_START_WIDTH)
+        width[:count], width[count + THETA_JACK] = _PRIOR_WIDTH, _PRIOR_WIDTH
+        return mean, width
+
+    def without_misfits(self, slack: float, most: int) -> bool:
+        """Drop the windows that a fit does not explain, if they are ``most`` at most; return whether it did."""
+        shooting = Shooting(self.recordings, self.parameters, self.windows)
+        misfits = np.flatnonzero(misfitting(self.rows(shooting, slack), len(self.windows))).tolist()
+        if not 0 < len(misfits) <= most:
+            return False
+        self.drop(misfits)
+        return True
+
+    def motions(self) -> tuple[tuple[Array, ...], int]:
+        """The fitted motion of each recording, and the number of steps in windows."""
+        states, covered = tuple(np.full(one.states.shape, np.nan) for one in self.recordings), 0
+        played = motions(self.recordings, self.windows, self.parameters, self.numbers)
+        assert played is not None  # the search has evaluated them here
+        for window, modelled in zip(self.windows, played, strict=True):
+            states[window.recording][window.first : window.last + 1] = modelled.states
+            covered += window.last - window.first
+        return states, covered
+
+
+def unlink(windows: list[Window], indices: Sequence[int]) -> None:
+    """Remove the links of windows to those before and after them."""
+    for index in indices:
+        windows[index].linked = False
+        if index:
+            windows[index - 1].linked = False
