@@ -226,7 +226,8 @@ def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
     done, again = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2))
     assert (done.returncode, again.returncode) == (1, 2)
     assert done.stdout.endswith(f"it differs from step 600 on\n{path} has 599 steps\n")
-    assert again.stderr == f"{path} exists, and is never overwritten: choose another place\n"
+    refusal = f"{path} exists, and is never overwritten: choose another place\n"
+    assert (again.stdout, again.stderr) == ("", refusal)
     with path.open() as file:
         header, *lines, last = csv.reader(file)
     states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
