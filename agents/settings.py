@@ -210,7 +210,7 @@ _TORQUES: dict[str, Any] = {
 class TrainSettings(EnvSettings):
     """All settings of a training run. With the defaults, those of `make demo`, it takes about 45 s on one core.
 
-    They are for juggle with one decision per bounce. :meth:`suited` has defaults for every task.
+    They are for juggle with one decision per bounce. `suited` has defaults for every task.
     """
 
     seed: int = 0

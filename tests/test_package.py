@@ -112,6 +112,9 @@ def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
     assert readme.ENVIRONMENT.read_text() == readme.environment_page(), "make readme"
     for link in re.findall(r"\]\(([^)#]+)", page):
         assert "://" in link or (ROOT / link).exists(), link
+    trust = (ROOT / "docs" / "trust.md").read_text()
+    proven = re.findall(r"^\|[^|]+\|[^|]+\|[^|]+\| ([\d,]+) +\| [\d,]+ +\| 0 ", trust, re.MULTILINE)
+    assert f"[{sum(int(one.replace(',', '')) for one in proven):,} control steps are proven]" in page
 
 
 WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -53,7 +53,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     `restitution` is below 1. A lift carries the box's weight; nothing carries the jack's. So the jack falls and
     bounces, and each bounce pushes the box down a little. The agent applies a torque to the box.
 
-    `jackbox_env.mechanics` states the law, and each file of `jackbox_env.simulators` how exactly its contact model
+    The law is in `jackbox_env.mechanics`. Each file of `jackbox_env.simulators` says how closely its contact model
     follows it.
 
     ## Action Space
@@ -109,7 +109,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
     | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
 
-    (*) on the axes of the box; the box's own rotation is not subtracted.
+    (*) difference of the centres' velocities, along the box's axes; not the velocity seen from the turning box.
 
     `"pixels"` is a `Box` of shape (84, 84, 1), uint8: a grey picture of box and jack, whose camera follows the box.
     `jackbox_env.Pixels(size=(64, 64), stack=4)`, or `"pixels-64x64x4"`, has another size and, in channels, the pictures

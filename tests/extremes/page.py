@@ -132,7 +132,7 @@ def answer(findings: Findings) -> str:
     cases, verdicts = len({what for what, _ in findings}), [finding.verdict for finding in findings.values()]
     return (
         f"{cases} extremes were tried on both contact models: {verdicts.count(HOLDS)} results are within their bounds, "
-        f"{verdicts.count(REFUSED)} are errors of one sentence, and {verdicts.count(FAILS) or 'none'} FAIL. `exact` "
+        f"{verdicts.count(REFUSED)} were refused with a message, {verdicts.count(FAILS) or 'none'} failed. `exact` "
         "follows the laws to rounding and keeps every foot inside to 1e-9 m, for all masses, speeds, spins and steps "
         "tried. `pymunk` conserves momentum and energy as well, but a foot may be up to 1 m in a wall at the end of a "
         "step; a step in which it would move further raises an error."
