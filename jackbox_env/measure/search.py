@@ -17,7 +17,7 @@ from jackbox_env.measure.chain import Chain, Indices, Rows, minimise
 from jackbox_env.measure.flights import flights_of, lost_frames_of, spikes_of
 from jackbox_env.measure.recordings import Recording, rough_noise
 from jackbox_env.measure.residuals import highest_mean_square, leverage, misfitting
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, motions, units
+from jackbox_env.measure.shooting import MOST_IMPACTS, Parameters, Shooting, Window, followed, motion, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
@@ -28,9 +28,10 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
+_MOST_IN_HOPS = 3  # impacts between flights that do not follow closely; of more, the order is not certain
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
 # They take about as long as the recordings; most fits that converge need a third.
-_MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1e4, 160, 4.0, 3
+_MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1.5e4, 200, 4.0, 3
 FAR = 6.0  # standard deviations of a row that is bad
 MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
@@ -142,7 +143,9 @@ class Search:
     def fit_alone(self, window: Window) -> bool:
         """Fit a window near its start and near the fields' present numbers; return whether it is explained."""
         recording, numbers = self.recordings[window.recording], self.numbers
-        if not followed(window, motion(recording, window, self.parameters, numbers)):
+        flights, modelled = self.flights[window.recording], motion(recording, window, self.parameters, numbers)
+        most = _MOST_IN_HOPS if flights and (window.first, window.last) not in flights.flown else MOST_IMPACTS
+        if not followed(window, modelled, most):
             return False
         explained = self.explained([window])
         if not explained:

@@ -26,7 +26,7 @@ from jackbox_env.simulators import JackLostError
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next
 _SHORTEST = 0.06  # [s] of a window; bounces that pile up leave less
-_MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
+MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
 _SOON = 5  # rows
@@ -166,10 +166,10 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     return None if played is None else played[0]
 
 
-def followed(window: Window, modelled: Motion | None) -> bool:
-    """Whether a window has derivatives to its end, and no bounces that pile up."""
+def followed(window: Window, modelled: Motion | None, most: int) -> bool:
+    """Whether a window has derivatives to its end, and at most so many impacts."""
     steps = window.last - window.first
-    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= _MOST_IMPACTS
+    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= most
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
@@ -286,7 +286,7 @@ def next_window(
             return None
         apart = np.flatnonzero(np.diff(modelled.times) > _APART)
         count = int(apart[0]) + 1 if len(apart) else len(modelled.times)
-        if count > _MOST_IMPACTS or (modelled.smooth < last - first and not len(apart)):
+        if count > MOST_IMPACTS or (modelled.smooth < last - first and not len(apart)):
             return None
         if len(apart):
             middle = 0.5 * (modelled.times[count - 1] + modelled.times[count])

@@ -210,8 +210,7 @@ def test_lost_frames_of_zeros_are_like_missing_rows_and_other_bad_rows_are_few()
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_recording_that_is_wrong_is_named_and_does_not_spoil_the_others(number: int) -> None:
-    junk = filmed(LAB, seed=7)
-    junk.states[:, 3:6] = np.cumsum(0.01 * np.random.default_rng(1).standard_normal((len(junk.states), 3)), axis=0)
+    junk = filmed(LAB.changed(jack_arm=0.06, jack_mass=0.3))  # another jack
     recordings = [filmed(LAB)]
     recordings.insert(number, junk)
     fitted = fit(recordings, FIELDS, far(LAB))
@@ -221,10 +220,10 @@ def test_a_recording_that_is_wrong_is_named_and_does_not_spoil_the_others(number
 
 
 def test_flights_before_and_after_several_hops_are_followed() -> None:
-    jack = (0.012, 0.005, 0.527, 0.249, 0.008, 1.676)
+    jack = (-0.026, -0.007, 0.87, 0.357, -0.323, -2.995)
     fitted = fit(filmed(LAB, jack=jack), FIELDS, far(LAB))
     assert fitted.problems == ()
-    assert fitted.left_out == 0  # 49 if the jack is followed only from the middle of a flight forwards
+    assert fitted.left_out == 0  # 48 if only flights that follow closely are linked
     assert fitted.scene.jack_mass == pytest.approx(LAB.jack_mass, rel=0.005)
 
 
