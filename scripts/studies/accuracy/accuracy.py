@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.tools import checks as check
 from scripts.studies import study
+from scripts.studies.accuracy import engines
 from scripts.studies.accuracy import measured as these
 from scripts.studies.accuracy.measured import (
     ALL,
@@ -55,7 +56,8 @@ def trials(arguments: Arguments) -> study.Trials:
     seconds = check.real("seconds", arguments.seconds, above=0.0)
     names = dict.fromkeys(one.name for one in these.settings(few) + these.contenders(few) if one.make)
     errors = [{"part": "errors", "name": name, "quick": few, "cases": cases} for name in names]
-    return [*errors, {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}]
+    costs = {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}
+    return [*errors, costs, *([] if few else engines.trials(rounds, seconds))]
 
 
 class Claim(NamedTuple):
@@ -289,13 +291,14 @@ def report(record: study.Record) -> None:
 
 STUDY = study.Study(
     "accuracy",
-    {"errors": these.errors_of, "costs": these.costs_of},
+    {"errors": these.errors_of, "costs": these.costs_of, **engines.PARTS},
     filled,
     Arguments,
     trials,
-    single=frozenset({"costs"}),
-    alone=frozenset({"costs"}),
+    single=frozenset({"costs", "engine_costs"}),
+    alone=frozenset({"costs", "engine_costs"}),
     packages=("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "numba", "mujoco", "box2d"),
+    joined=engines.with_stored,
     draw=draw_both,
     report=report,
 )

@@ -261,7 +261,8 @@ class Results:
     @classmethod
     def of_record(cls, record: Stored) -> Results:
         """The rows of a stored record."""
-        groups = [*record["costs"]["settings"], *record["errors"]]
+        groups = [*record["costs"]["settings"], *record["errors"], *record.get("engines", [])]
+        groups += record.get("engine_costs", [])
         return cls(Row(*of["setting"], **row) for of in groups for row in of["rows"])
 
 
@@ -303,15 +304,25 @@ def _references(kind: str, count: int) -> list[tuple[Case, Reference]]:
     return [(case, reference_of(case)) for case in cases]
 
 
+def score_of(make: Callable[[Scene], Simulator], known: referee.Known) -> referee.Score:
+    """The referee's score of a simulator on one proven case."""
+    case, _ = known
+    course = follow(make(case.scene), case, inspect=None)
+    times: Array = case.dt * np.arange(len(course.states), dtype=np.float64)
+    return referee.score(known, times, course.states, course.impacts)
+
+
+def as_record(name: str, score: referee.Score) -> Record:
+    """The score of the setting of this name on one proven case, with the names of the quantities."""
+    return score._asdict() | {
+        "setting": name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration
+    }  # fmt: skip
+
+
 def refereed(setting: Setting, known: referee.Known) -> Record:
     """The referee's score of one setting on one proven case."""
     assert setting.make is not None
-    case, _ = known
-    course = follow(setting.make(case.scene), case, inspect=None)
-    times: Array = case.dt * np.arange(len(course.states), dtype=np.float64)
-    score = referee.score(known, times, course.states, course.impacts)
-    record = {"setting": setting.name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration}
-    return score._asdict() | record
+    return as_record(setting.name, score_of(setting.make, known))
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:

@@ -1,0 +1,36 @@
+"""Run the adapters in JavaScript: rapier.js and matter.js play the proven cases in Node and write the referee's files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from scripts.referee import IMPACTS, STATES, Table, read_table
+
+FOLDER = Path(__file__).parent
+
+
+def is_installed(package: str) -> bool:
+    """Whether Node finds a package, in node_modules above this file or in NODE_PATH."""
+    command = ["node", "--eval", f"require.resolve({json.dumps(package)})"]
+    return shutil.which("node") is not None and not subprocess.run(command, cwd=FOLDER, capture_output=True).returncode
+
+
+def play(adapter: str, settings: Mapping[str, Any]) -> tuple[Table, Table, dict[str, Any]]:
+    """The states and impacts of the proven cases, and what the adapter prints: version and speed.
+
+    Raises:
+        RuntimeError: the adapter failed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["node", str(FOLDER / f"{adapter}.js"), json.dumps(settings), folder]
+        ended = subprocess.run(command, capture_output=True, text=True)
+        if ended.returncode:
+            raise RuntimeError(f"{adapter}.js failed: {ended.stderr.strip()}")
+        states = read_table(Path(folder) / "states.csv", STATES)
+        return states, read_table(Path(folder) / "impacts.csv", IMPACTS), json.loads(ended.stdout)
