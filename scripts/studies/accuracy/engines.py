@@ -12,19 +12,18 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from jackbox_env.measure.accuracy import follow
 from jackbox_env.simulators import Simulator
 from scripts import referee
 from scripts.studies import baselines
 from scripts.studies.accuracy import measured as these
-from scripts.studies.accuracy.measured import REFERENCE
+from scripts.studies.accuracy.measured import COST, REFERENCE
 from scripts.studies.baselines import javascript
 from scripts.studies.study import Record
 from scripts.studies.timing import Timed, measure, ratios, repeat
 
 TIMED = ("chirp-0", "chirp-1", "held-0", "held-1", "weightless")  # proven cases of 5 s, on which costs are measured
 SUBSTEPS = (2, 4, 16, 64)
-COST, RATIO = "time", "time_over_default"  # quantities: microseconds per simulated second, and over that of DEFAULT
+RATIO = f"{COST}_over_default"
 
 
 class Engine(NamedTuple):
@@ -179,13 +178,7 @@ def _speed(adapter: str, settings: dict[str, Any]) -> float:
 def timed_of(make: Callable[..., Simulator], seconds: float) -> Timed:
     """Simulated seconds per second of this thread's own time, over whole plays of some proven cases."""
     cases = [referee.reference()[name][0] for name in TIMED]
-    simulators = [make(case.scene) for case in cases]
-
-    def block() -> int:
-        courses = [follow(one, case, inspect=None) for one, case in zip(simulators, cases, strict=True)]
-        return sum(len(course.states) - 1 for course in courses)
-
-    rate = repeat(block, seconds, clock=time.thread_time)
+    rate = repeat(these.stepped(make, cases), seconds, clock=time.thread_time)
     return lambda: these.DT * rate()
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -122,6 +122,7 @@ DEFAULT = of_fidelity("balanced")
 
 # -- summaries ---------------------------------------------------------------------------------------------------------
 
+COST = "time"  # of playing proven cases [us/s]
 ALL = "all seeds"
 PREDICTABLE = 11  # impacts of a case that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
@@ -337,18 +338,18 @@ def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> R
 
 def cost_of(setting: Setting, seconds: float) -> Timed:
     """Simulated seconds per second of this thread's own time, which stops while others use the processor."""
-    block = _stepped(setting.make) if setting.make else _together()
+    cases = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
+    block = stepped(setting.make, cases) if setting.make else _together()
     timed = repeat(block, seconds, clock=time.thread_time)
     return lambda: DT * timed()
 
 
-def _stepped(make: Callable[[Scene], Simulator]) -> Callable[[], int]:
+def stepped(make: Callable[[Scene], Simulator], cases: Sequence[Case]) -> Callable[[], int]:
     """A block that steps a contact model through some cases."""
-    chosen = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
-    simulators = [make(case.scene) for case in chosen]
+    simulators = [make(case.scene) for case in cases]
 
     def block() -> int:
-        for simulator, case in zip(simulators, chosen, strict=True):
+        for simulator, case in zip(simulators, cases, strict=True):
             simulator.reset(case.state)
             try:
                 for number in range(case.steps):

@@ -14,6 +14,7 @@ from jackbox_env.commands.plots import GREY  # this import sets the style of all
 from jackbox_env.tools.files import replacing
 from scripts.studies.accuracy.measured import (
     BATCH,
+    COST,
     DETECTION,
     EXACT,
     PREDICTABLE,
@@ -155,5 +156,43 @@ def draw_impacts(results: Results, settings: Sequence[str], path: Path) -> None:
         axis.set_title(f"Median error of a correct impact's time [s]: {which}", loc="left", fontsize="medium")
         axis.grid()
         axis.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.18), ncols=2)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})
+
+
+_LINES = {  # of the diagram of engines: marker, colour; what an engine is compared with is grey
+    EXACT: ("D", "C0"), PYMUNK: ("o", "C2"), "Box2D v3": ("s", "C1"), "Rapier": ("^", "C4"), "matter.js": ("v", "C5"),
+    "Drake": ("P", "C6"), "solve_ivp": ("*", GREY), "box2d": ("s", GREY), "mujoco": ("^", GREY), DETECTION: ("X", "C3"),
+}  # fmt: skip
+_ENDS = {  # labels at the last point of each line: text, offset [points], alignment
+    EXACT: ("exact", (8, 0), "left"), PYMUNK: ("pymunk", (-8, 4), "right"), "Box2D v3": ("Box2D v3", (8, -4), "left"),
+    "Rapier": ("Rapier", (8, -2), "left"), "matter.js": ("matter.js", (6, 7), "left"), "Drake": ("Drake", (-4, 9), "center"),
+    "solve_ivp": ("SciPy", (8, -8), "left"), "box2d": ("Box2D 2.3", (8, 2), "left"), "mujoco": ("MuJoCo", (8, 0), "left"),
+    DETECTION: ("threshold detection", (8, 0), "left"),
+}  # fmt: skip
+
+
+def draw_engines(results: Results, settings: Sequence[str], path: Path) -> None:
+    """Draw the share of correct impacts against the cost: a line for each engine, its settings from coarse to fine."""
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for name in settings:
+        correct, known, cost = (results.of(name, quantity, REFERENCE) for quantity in ("prefix", "known", COST))
+        lines.setdefault(correct.family, []).append((cost.median, 100.0 * correct.total / known.total))
+    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for family, points in lines.items():
+        marker, colour = _LINES[family]
+        x, y = zip(*sorted(points), strict=True)
+        axes.plot(x, y, marker=marker, color=colour, markersize=6)
+        text, offset, aligned = _ENDS[family]
+        axes.annotate(
+            text, (x[-1], y[-1]), xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center"
+        )
+    axes.set(
+        xscale="log", ylim=(0.0, 100.0), xlabel="computing time per simulated second", ylabel="correct impacts [%]"
+    )
+    axes.set_xticks([1e2, 1e3, 1e4, 1e5], ["0.1 ms", "1 ms", "10 ms", "0.1 s"])
+    axes.set_title("How many proven impacts are right, and at what cost?", loc="left", fontsize="medium")
+    axes.grid()
     with replacing(path) as partial:
         figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})

@@ -1,12 +1,13 @@
-"""Drake 1.58: an event-driven system, integrated by Runge-Kutta with a witness function for each gap.
+"""Drake 1.51: an event-driven system, integrated by Runge-Kutta with a witness function for each gap.
 
 Law: smooth Lagrangian dynamics by the Runge-Kutta pair of order 3(2) with error control. A witness function for each
     wall and foot isolates the time at which a gap falls through 0. Its update applies the Lagrangian impact map.
 Order: 3 in flight; a witness is isolated to 0.01 of the ``accuracy`` [s].
-Cost: Drake calls Python for each derivative and for each of the 16 witnesses.
-Fails: a witness triggers on a change of sign between the ends of an integrator's step. A foot that goes in and out again
-    within one step is missed.
+Fails: a witness triggers on a change of sign over a step of the integrator, at most ``longest`` [s]. A foot that goes in
+    and out again within one is missed. Drake calls Python for derivatives and witnesses, which takes its time.
 Reference: Drake's documentation of ``Simulator`` and ``WitnessFunction``; its example of the bouncing ball.
+
+``MultibodyPlant`` is not scored: its discrete contacts have no restitution, and at dissipation 0 they are springs.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import LeafSystem, UnrestrictedUpdateEvent, WitnessFunctionDirection
 
 from jackbox_env.mechanics import impact_map
-from jackbox_env.model.scene import Scene
+from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import RATES
 from jackbox_env.simulators.base import Impact
 from scripts.studies.baselines.base import Baseline, Pair, Trace
@@ -42,9 +43,8 @@ class Jack(LeafSystem):  # type: ignore[misc]
         return self._witnesses
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: D102, N802
-        drive, load = self._scene.drive, self.torque or 0.0
-        if self.torque is None and drive is not None and drive.torque:
-            load = drive.torque(context.get_time())
+        drive = self._scene.drive or Drive()
+        load = drive.torque(context.get_time()) if self.torque is None and drive.torque else self.torque or 0.0
         rates = context.get_continuous_state_vector().CopyToVector()[RATES:].tolist()
         turning, falling = load / self._scene.box_inertia, -self._scene.gravity
         derivatives.get_mutable_vector().SetFromVector([*rates, 0.0, 0.0, turning, 0.0, falling, 0.0])
@@ -72,12 +72,10 @@ class Model(Baseline):
         self._simulator.get_mutable_context().SetAccuracy(accuracy)
 
     def _simulate(
-        self, state: list[float], time: float, h: float, torque: float | None,
-        impacts: list[tuple[Impact, bool]], trace: Trace | None = None,
-    ) -> tuple[list[float], float]:  # fmt: skip
+        self, state: list[float], time: float, h: float, torque: float | None, impacts: Any, trace: Trace | None = None
+    ) -> tuple[list[float], float]:
         context = self._simulator.get_mutable_context()
-        context.SetTime(time)
-        context.SetContinuousState(state)
+        context.SetTimeAndContinuousState(time, state)
         self._system.torque, self._system.impacts = torque, []
         self._simulator.Initialize()
         self._simulator.AdvanceTo(time + h)

@@ -1,4 +1,4 @@
-"""Run the adapters in JavaScript: rapier.js and matter.js play the proven cases in Node and write the referee's files."""
+"""Run rapier.js and matter.js, which play the proven cases in Node and write what the referee reads."""
 
 from __future__ import annotations
 
