@@ -5,25 +5,22 @@ This project does without all of them. The results of an engine that is not inst
 
 from __future__ import annotations
 
-import importlib.metadata
-import importlib.util
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from jackbox_env.simulators import Simulator
+from agents.runs import installed
 from scripts import referee
-from scripts.studies import baselines
 from scripts.studies.accuracy import measured as these
-from scripts.studies.accuracy.measured import COST, REFERENCE
-from scripts.studies.baselines import javascript
+from scripts.studies.accuracy.measured import COST, REFERENCE, Setting
+from scripts.studies.baselines import IN_JAVASCRIPT, baseline
+from scripts.studies.baselines.javascript import play, version
 from scripts.studies.study import Record
-from scripts.studies.timing import Timed, measure, ratios, repeat
+from scripts.studies.timing import Timed, measure, repeat
 
 TIMED = ("chirp-0", "chirp-1", "held-0", "held-1", "weightless")  # proven cases of 5 s, on which costs are measured
 SUBSTEPS = (2, 4, 16, 64)
-RATIO = f"{COST}_over_default"
 
 
 class Engine(NamedTuple):
@@ -38,12 +35,10 @@ class Engine(NamedTuple):
     searched: tuple[float, ...] = (4, 64)  # points at which settings are compared
 
     @property
-    def missing(self) -> str:
-        """How to install it; empty if it is."""
-        if self.adapter in baselines.IN_JAVASCRIPT:
-            return "" if javascript.is_installed(self.package) else f"not installed (npm install {self.package})"
-        module = "pydrake" if self.package == "drake" else self.package
-        return "" if importlib.util.find_spec(module) else f"not installed (pip install {self.package})"
+    def version(self) -> str:
+        """The package's version; empty if Python or Node does not find it."""
+        of_python = installed([self.package])[self.package].removeprefix("not installed")
+        return version(self.package) if self.adapter in IN_JAVASCRIPT else of_python
 
 
 ENGINES = {
@@ -86,25 +81,21 @@ ENGINES = {
 }  # fmt: skip
 
 
-def name_of(engine: str, point: float) -> str:
-    """Name of an engine's row."""
-    return these.named(engine, int(point)) if ENGINES[engine].unit == "substeps" else f"{engine}, accuracy {point:g}"
+def setting_of(engine: str, point: float) -> Setting:
+    """A point of an engine's line at its best settings; one in JavaScript cannot be made."""
+    _, adapter, best, _, unit, *_ = ENGINES[engine]
+    name = these.named(engine, int(point)) if unit == "substeps" else f"{engine}, {unit} {point:g}"
+    make = None if adapter in IN_JAVASCRIPT else partial(baseline(adapter), **{unit: point}, **best)
+    return Setting(name, engine, int(point) or None, make)
 
 
-def made(engine: str, point: float, settings: dict[str, Any]) -> Callable[..., Simulator]:
-    """The adapter of an engine in Python, as a function of the scene."""
-    return partial(baselines.baseline(ENGINES[engine].adapter), **{ENGINES[engine].unit: point}, **settings)
-
-
-def played(engine: str, point: float, settings: dict[str, Any]) -> tuple[list[referee.Score], str]:
-    """The referee's scores of the proven cases, and the version of the engine's package."""
-    package, adapter, *_ = ENGINES[engine]
-    if adapter in baselines.IN_JAVASCRIPT:
-        states, impacts, printed = javascript.play(adapter, {"substeps": point, **settings})
-        return referee.scores_of(states, impacts, referee.TOLERANCE), printed["version"]
-    make = made(engine, point, settings)
-    scores = [these.score_of(make, known) for known in referee.reference().values()]
-    return scores, importlib.metadata.version(package)
+def scores_of(engine: str, point: float, settings: dict[str, Any], cases: Sequence[str] = ()) -> list[referee.Score]:
+    """The referee's scores of the proven cases, all or those of these names."""
+    names, make = list(cases or referee.reference()), setting_of(engine, point).make
+    if make is not None:
+        return [these.score_of(partial(make, **settings), referee.reference()[name]) for name in names]
+    states, impacts, _ = play(ENGINES[engine].adapter, {"substeps": point, "cases": names, **settings})
+    return referee.scores_of(states, impacts, referee.TOLERANCE)
 
 
 # -- parts of the study ------------------------------------------------------------------------------------------------
@@ -112,101 +103,63 @@ def played(engine: str, point: float, settings: dict[str, Any]) -> tuple[list[re
 
 def search_of(engine: str) -> dict[str, Any]:
     """Change one setting after the other to the value with the most correct impacts, then the least error of energy."""
-    chosen = ENGINES[engine]
-    if chosen.missing:
-        return {"engine": engine, "missing": chosen.missing}
-    best, rows = {name: values[0] for name, values in chosen.tried.items()}, list[dict[str, Any]]()
-
-    def tried(settings: dict[str, Any]) -> tuple[float, float]:
-        totals = [referee.summary(played(engine, point, settings)[0]) for point in chosen.searched]
+    _, _, _, tried, unit, _, points = ENGINES[engine]
+    best, reached, rows = {name: values[0] for name, values in tried.items()}, (-1.0, 0.0), list[dict[str, Any]]()
+    for change in ({}, *({name: value} for name, values in tried.items() for value in values[1:])):
+        settings = best | change
+        totals = [referee.summary(scores_of(engine, point, settings)) for point in points]
         correct, energy = sum(total["correct"] for total in totals), max(total["energy_median"] for total in totals)
         rows.append({"settings": settings, "correct": correct, "energy": energy})
-        return correct, -energy
-
-    reached = tried(best)
-    for name, values in chosen.tried.items():
-        for value in values[1:]:
-            other = best | {name: value}
-            if (now := tried(other)) > reached:
-                best, reached = other, now
-    return {"engine": engine, "best": best, "tried": rows}
+        if (correct, -energy) > reached:
+            best, reached = settings, (correct, -energy)
+    return {"setting": [engine, unit, points], "version": ENGINES[engine].version, "best": best, "tried": rows}
 
 
 def engine_of(engine: str, point: float) -> dict[str, Any]:
     """The scores of an engine at its best settings, summed up."""
-    chosen, name = ENGINES[engine], name_of(engine, point)
-    setting = [name, engine, point if chosen.unit == "substeps" else None]
-    if chosen.missing:
-        return {"setting": setting, "missing": chosen.missing}
-    scores, version = played(engine, point, chosen.best)
-    return {
-        "setting": setting,
-        "version": version,
-        "rows": these.summaries([these.as_record(name, score) for score in scores]),
-    }
+    setting, scores = setting_of(engine, point), scores_of(engine, point, ENGINES[engine].best)
+    return {"setting": setting[:3], "rows": these.summaries([these.as_record(setting.name, one) for one in scores])}
 
 
 def costs_of(rounds: int, seconds: float) -> list[dict[str, Any]]:
-    """Costs of all that play the proven cases, measured in turn; of an engine that is missing only its name."""
-    timed = {one.name: timed_of(one.make, seconds) for one in these.contenders(quick=False) if one.make}
-    missing = []
-    for engine, chosen in ENGINES.items():
-        for point in chosen.points:
-            if chosen.missing:
-                missing.append({"setting": [name_of(engine, point), engine, None], "missing": chosen.missing})
-            elif chosen.adapter in baselines.IN_JAVASCRIPT:
-                settings = {"substeps": point, "seconds": seconds, "timed": TIMED, **chosen.best}
-                timed[name_of(engine, point)] = partial(_speed, chosen.adapter, settings)
-            else:
-                timed[name_of(engine, point)] = timed_of(made(engine, point, chosen.best), seconds)
-    rates = measure(timed, rounds)
-    groups = []
-    for name in timed:
-        values = {COST: [1e6 / rate for rate in rates[name]], RATIO: ratios(rates, these.DEFAULT, name)}
-        rows = [
-            {"kind": REFERENCE, "quantity": of, "unit": unit, **these.summed_up(values[of])}
-            for of, unit in ((COST, "us/s"), (RATIO, "1"))
-        ]
-        groups.append({"setting": [name, name.split(",")[0], None], "rows": rows})
-    return [*groups, *missing]
+    """Costs of all that play the proven cases, measured in turn: processor times of whole plays of some of them."""
+    ours = (setting_of(name, point) for name in present() for point in ENGINES[name].points)
+    settings = {one.name: one for one in (*these.contenders(quick=False), *ours)}
+    rates = measure({name: timed_of(setting, seconds) for name, setting in settings.items()}, rounds)
+    row = {"kind": REFERENCE, "quantity": COST, "unit": "us/s"}
+    costs = ((settings[name][:3], these.summed_up(1e6 / rate for rate in of)) for name, of in rates.items())
+    return [{"setting": setting, "rows": [row | cost]} for setting, cost in costs]
 
 
-def _speed(adapter: str, settings: dict[str, Any]) -> float:
-    return float(javascript.play(adapter, settings)[2]["speed"])
-
-
-def timed_of(make: Callable[..., Simulator], seconds: float) -> Timed:
-    """Simulated seconds per second of this thread's own time, over whole plays of some proven cases."""
+def timed_of(setting: Setting, seconds: float) -> Timed:
+    """Simulated seconds per second of the processor."""
+    if setting.make is None:
+        chosen = ENGINES[setting.family]
+        play_them = {"substeps": setting.substeps, "seconds": seconds, "cases": TIMED, **chosen.best}
+        return lambda: float(play(chosen.adapter, play_them)[2]["speed"])
     cases = [referee.reference()[name][0] for name in TIMED]
-    rate = repeat(these.stepped(make, cases), seconds, clock=time.thread_time)
+    rate = repeat(these.stepped(setting.make, cases), seconds, clock=time.thread_time)
     return lambda: these.DT * rate()
-
-
-def with_stored(new: Record, stored: Record) -> Record:
-    """New results; those of an engine that is missing now are the stored ones, marked as kept."""
-    for part in ("search", "engines", "engine_costs"):
-        before = {_key(one): one for one in stored.get(part, []) if "missing" not in one}
-        kept = [
-            before[_key(one)] | {"kept": one["missing"]}
-            for one in new.get(part, [])
-            if "missing" in one and _key(one) in before
-        ]
-        if part in new:
-            new[part] = [one for one in new[part] if "missing" not in one] + kept
-    return new
-
-
-def _key(one: dict[str, Any]) -> str:
-    return one["engine"] if "engine" in one else one["setting"][0]
 
 
 PARTS = {"search": search_of, "engines": engine_of, "engine_costs": costs_of}
 
 
+def present() -> list[str]:
+    """Engines that are installed."""
+    return [name for name, engine in ENGINES.items() if engine.version]
+
+
 def trials(rounds: int, seconds: float) -> list[dict[str, Any]]:
-    """The trials of these parts."""
-    searches = [{"part": "search", "engine": engine} for engine in ENGINES]
-    scores = [
-        {"part": "engines", "engine": name, "point": point} for name, of in ENGINES.items() for point in of.points
-    ]
+    """The trials of these parts, of the engines that are installed."""
+    searches = [{"part": "search", "engine": name} for name in present()]
+    scores = [{"part": "engines", "engine": name, "point": at} for name in present() for at in ENGINES[name].points]
     return [*searches, *scores, {"part": "engine_costs", "rounds": rounds, "seconds": seconds}]
+
+
+def with_stored(new: Record, stored: Record) -> Record:
+    """New results; what was not measured now, as it is not installed, stays as it is stored and is marked as kept."""
+    for part in PARTS.keys() & new.keys():
+        measured = {one["setting"][0] for one in new[part]}
+        new[part] += [{**one, "kept": True} for one in stored.get(part, []) if one["setting"][0] not in measured]
+    return new

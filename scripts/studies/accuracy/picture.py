@@ -160,39 +160,37 @@ def draw_impacts(results: Results, settings: Sequence[str], path: Path) -> None:
         figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})
 
 
-_LINES = {  # of the diagram of engines: marker, colour; what an engine is compared with is grey
-    EXACT: ("D", "C0"), PYMUNK: ("o", "C2"), "Box2D v3": ("s", "C1"), "Rapier": ("^", "C4"), "matter.js": ("v", "C5"),
-    "Drake": ("P", "C6"), "solve_ivp": ("*", GREY), "box2d": ("s", GREY), "mujoco": ("^", GREY), DETECTION: ("X", "C3"),
-}  # fmt: skip
-_ENDS = {  # labels at the last point of each line: text, offset [points], alignment
-    EXACT: ("exact", (8, 0), "left"), PYMUNK: ("pymunk", (-8, 4), "right"), "Box2D v3": ("Box2D v3", (8, -4), "left"),
-    "Rapier": ("Rapier", (8, -2), "left"), "matter.js": ("matter.js", (6, 7), "left"), "Drake": ("Drake", (-4, 9), "center"),
-    "solve_ivp": ("SciPy", (8, -8), "left"), "box2d": ("Box2D 2.3", (8, 2), "left"), "mujoco": ("MuJoCo", (8, 0), "left"),
-    DETECTION: ("threshold detection", (8, 0), "left"),
-}  # fmt: skip
+_LINES = {  # of the diagram of engines: marker, colour, label of the finest setting, its offset [points], alignment
+    EXACT: ("D", "C0", "exact", (8, 0), "left"),
+    PYMUNK: ("o", "C2", "pymunk", (-8, 2), "right"),
+    "Box2D v3": ("s", "C1", "Box2D v3", (8, 5), "left"),
+    "Rapier": ("^", "C4", "Rapier", (8, -5), "left"),
+    "matter.js": ("v", "C5", "matter.js", (6, -10), "left"),
+    "Drake": ("P", "C6", "Drake", (0, 9), "center"),
+    "solve_ivp": ("*", GREY, "SciPy", (-4, 9), "center"),
+    "box2d": ("s", GREY, "Box2D 2.3", (0, 10), "center"),
+    "mujoco": ("X", GREY, "MuJoCo", (8, -2), "left"),
+    DETECTION: ("x", "C3", "threshold detection", (4, -11), "center"),
+}
 
 
 def draw_engines(results: Results, settings: Sequence[str], path: Path) -> None:
-    """Draw the share of correct impacts against the cost: a line for each engine, its settings from coarse to fine."""
+    """Draw the share of correct impacts against the cost: a line for each engine, from coarse to fine settings."""
     lines: dict[str, list[tuple[float, float]]] = {}
     for name in settings:
         correct, known, cost = (results.of(name, quantity, REFERENCE) for quantity in ("prefix", "known", COST))
         lines.setdefault(correct.family, []).append((cost.median, 100.0 * correct.total / known.total))
-    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(5.0, 4.4), layout="constrained")
     axes = figure.subplots()
     for family, points in lines.items():
-        marker, colour = _LINES[family]
-        x, y = zip(*sorted(points), strict=True)
+        marker, colour, text, offset, aligned = _LINES[family]
+        x, y = zip(*sorted(points, key=lambda point: point[1]), strict=True)
         axes.plot(x, y, marker=marker, color=colour, markersize=6)
-        text, offset, aligned = _ENDS[family]
-        axes.annotate(
-            text, (x[-1], y[-1]), xytext=offset, textcoords="offset points", color=colour, ha=aligned, va="center"
-        )
-    axes.set(
-        xscale="log", ylim=(0.0, 100.0), xlabel="computing time per simulated second", ylabel="correct impacts [%]"
-    )
+        axes.annotate(text, (x[-1], y[-1]), offset, textcoords="offset points", color=colour, ha=aligned, va="center")
+    axes.set(xscale="log", xlim=(8e1, 1e6), ylim=(0.0, 100.0))
+    axes.set(xlabel="computing time per simulated second", ylabel="correct impacts [%]")
     axes.set_xticks([1e2, 1e3, 1e4, 1e5], ["0.1 ms", "1 ms", "10 ms", "0.1 s"])
-    axes.set_title("How many proven impacts are right, and at what cost?", loc="left", fontsize="medium")
+    axes.set_title("Proven impacts that are right, against computing time", loc="left", fontsize="medium")
     axes.grid()
     with replacing(path) as partial:
         figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})

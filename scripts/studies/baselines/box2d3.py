@@ -32,22 +32,20 @@ class Model(Engine):
 
     def _prepare(self) -> None:
         scene, half, of = self.scene, self.scene.box_half_width, self._settings
+        radius, back = of["radius"] * half, (1.5 + of["radius"]) * half
         pyb2d3.set_length_units_per_meter(of["units"])  # of the whole process
-        fixed = {"hit_event_threshold": 0.0, "maximum_linear_speed": 1e5, "gravity": (0.0, -scene.gravity)}
-        self._world = pyb2d3.World(restitution_threshold=of["threshold"], **fixed)
+        thresholds = {"restitution_threshold": of["threshold"], "hit_event_threshold": 0.0}
+        self._world = pyb2d3.World(gravity=(0.0, -scene.gravity), maximum_linear_speed=1e5, **thresholds)
         self._world.set_contact_tuning(of["hertz"], of["damping"], of["push"])
-        add, material = (
-            self._world.create_dynamic_body,
-            pyb2d3.surface_material(restitution=scene.restitution, friction=0.0),
-        )
+        add = self._world.create_dynamic_body
         self._bodies = add(enable_sleep=False, gravity_scale=0.0), add(enable_sleep=False, is_bullet=of["bullet"])
+        material = pyb2d3.surface_material(friction=0.0, restitution=scene.restitution)
         shape, self._numbers = pyb2d3.shape_def(density=0.0, material=material, enable_hit_events=True), {}
         for number, (x, y) in enumerate(DIRECTIONS):
-            size, back = (0.5, 2.0) if x else (2.0, 0.5), (1.5 + of["radius"]) * half
-            wall = pyb2d3.box(*(half * number for number in size), (x * back, y * back))
-            foot = pyb2d3.circle((x * scene.jack_arm, y * scene.jack_arm), of["radius"] * half)
-            for body, part in zip(self._bodies, (wall, foot), strict=True):
-                self._numbers[body.create_shape(shape, part).id] = number
+            wall = pyb2d3.box(*((0.5 * half, 2.0 * half)[:: 1 if x else -1]), (x * back, y * back))
+            foot = pyb2d3.circle((x * scene.jack_arm, y * scene.jack_arm), radius)
+            pairs = zip(self._bodies, (wall, foot), strict=True)
+            self._numbers |= {body.create_shape(shape, part).id: number for body, part in pairs}
         for body, whose in zip(self._bodies, ("box", "jack"), strict=True):
             data: Any = pyb2d3.MassData()
             data.mass, data.rotational_inertia = getattr(scene, f"{whose}_mass"), getattr(scene, f"{whose}_inertia")

@@ -1,4 +1,9 @@
-// matter.js 0.20 (npm matter-js): Verlet steps, polygons by separating axes, impulses in turn.
+// matter.js 0.20 (npm matter-js): Verlet steps in double precision, separating axes of polygons, impulses in turn.
+// Law: a substep moves, finds overlapping parts, pushes them apart and turns their relative velocity to -e times it.
+// Settings: "resting" is Resolver._restingThresh, below which a contact is inelastic; "dampen" Resolver._positionDampen,
+// the part of an overlap beyond "slop" that is pushed apart. No friction, no air. Time is in ms, as the engine expects.
+// The jack is the square whose corners are the feet. Walls are as thick as the half width.
+// It cannot bounce two feet off one wall at once: they share the impulse of one. It offers no continuous collision.
 const Matter = require("matter-js"), { main, directions } = require("./playing.js");
 const { Bodies, Body, Composite, Engine, Resolver } = Matter;
 
@@ -35,9 +40,10 @@ function make(scene, start, h, settings) {
     return pushed;
   };
   const at = ({ position, angle }) => [position.x, position.y, angle];
-  const rates = (body) => [(body.position.x - body.positionPrev.x) / h, (body.position.y - body.positionPrev.y) / h, (body.angle - body.anglePrev) / h];
+  const rates = ({ position, positionPrev, angle, anglePrev }) =>
+    [position.x - positionPrev.x, position.y - positionPrev.y, angle - anglePrev].map((way) => way / h);
   return { step, state: () => [...at(box), ...at(jack), ...rates(box), ...rates(jack)] };
 }
 make.late = true; // contacts are found after the substep's motion
 
-main(make, Matter.version);
+main(make);

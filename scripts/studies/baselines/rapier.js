@@ -1,6 +1,11 @@
-// Rapier 2D 0.21 (npm @dimforge/rapier2d-compat): impulses by projected Gauss-Seidel on soft contacts, compiled from Rust.
+// Rapier 2D 0.21 (npm @dimforge/rapier2d-compat, WebAssembly): soft contacts, projected Gauss-Seidel, single precision.
+// Law: a step finds the contacts nearer than the prediction distance, then solves and moves "inner" times.
+// Settings: those of its IntegrationParameters, "inner" for numSolverIterations; the feet's "radius" over L; "ccd". The
+// larger restitution counts; no friction, no sleeping. Walls are as thick as the half width, set back by the radius.
+// It cannot compute in double precision, and finds an impact only at a step's end.
 const RAPIER = require("@dimforge/rapier2d-compat"), { main, directions } = require("./playing.js");
-const NAMES = ["lengthUnit", "contact_natural_frequency", "normalizedPredictionDistance", "normalizedAllowedLinearError", "numInternalPgsIterations"];
+const NAMES = ["lengthUnit", "contact_natural_frequency", "normalizedPredictionDistance", "normalizedAllowedLinearError"];
+NAMES.push("numInternalPgsIterations");
 
 function make(scene, start, h, settings) {
   const { box_half_width: half, restitution } = scene, radius = settings.radius * half;
@@ -46,4 +51,4 @@ function make(scene, start, h, settings) {
   return { step, state, free: () => (events.free(), world.free()) };
 }
 
-RAPIER.init().then(() => main(make, RAPIER.version()));
+RAPIER.init().then(() => main(make));
