@@ -245,9 +245,8 @@ def reference_table(results: Results) -> str:
         counts = f"{correct.total:g} of {known.total:g}", f"{complete.total:g} of {complete.n}"
         errors = _spread(first), figure(depth.worst), _spread(energy), f"{escaped.total:g}"
         rows.append((name, *counts, *errors, figure(cost.median)))
-    heads = ("setting", "correct impacts", "complete cases", "first impact [s]", "penetration [m]", "energy", "lost")
-    heads = *heads, "µs per simulated s"
-    return table(heads, rows)
+    heads = "setting", "correct impacts", "complete cases", "first impact [s]", "penetration [m]", "energy", "lost"
+    return table((*heads, "µs per simulated s"), rows)
 
 
 def _spread(row: Row) -> str:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
+from scripts.studies.accuracy.engines import ENGINES
 from scripts.studies.accuracy.measured import EXACT, REFERENCE, THRESHOLD, Results
 from scripts.studies.pages import table, two_digits
 from scripts.studies.study import Record
@@ -31,6 +32,8 @@ def words(record: Record) -> dict[str, Any]:
         "lost": f"{lost.total:g} of {lost.n}",
         "kept": "".join(f" {name} is not installed here: its results are of an earlier run." for name in kept),
         "settings": settings_table(record),
+        "machine": record["made"].get("engine_costs", "").split(";")[0],
+        "matter": json.dumps({"substeps": 4, **ENGINES["matter.js"].best}),
     }
 
 
@@ -43,16 +46,9 @@ def settings_table(record: Record) -> str:
     """The settings that the search found for each engine, and the change of one of them that costs the most."""
     rows = []
     for one in record.get("search", []):
-        (engine, unit, points), worst = one["setting"], min(one["tried"], key=lambda row: row["correct"])
+        (name, unit, points), worst = one["setting"], min(one["tried"], key=lambda row: row["correct"])
         change = {name: value for name, value in worst["settings"].items() if value != one["best"][name]}
         most = f"{max(row['correct'] for row in one['tried'])}, at {' and '.join(f'{n:g}' for n in points)} {unit}"
-        rows.append(
-            (
-                engine,
-                one["version"],
-                f"`{json.dumps(one['best'])}`",
-                most,
-                f"{worst['correct']}: `{json.dumps(change)}`",
-            )
-        )
+        least = f"{worst['correct']}: `{json.dumps(change)}`"
+        rows.append((name, one["version"], f"`{json.dumps(one['best'])}`", most, least))
     return table(("engine", "version", "settings", "correct impacts", "worst tried"), rows)

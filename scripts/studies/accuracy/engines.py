@@ -6,7 +6,7 @@ This project does without all of them. The results of an engine that is not inst
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -142,7 +142,7 @@ def timed_of(setting: Setting, seconds: float) -> Timed:
     return lambda: these.DT * rate()
 
 
-PARTS = {"search": search_of, "engines": engine_of, "engine_costs": costs_of}
+PARTS: dict[str, Callable[..., Any]] = {"search": search_of, "engines": engine_of, "engine_costs": costs_of}
 
 
 def present() -> list[str]:

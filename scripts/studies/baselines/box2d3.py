@@ -2,8 +2,8 @@
 
 Law: a step finds the contacts nearer than 4 slops, then solves and moves ``inner`` times. At its end a contact that
     pushed gets -e times the relative velocity that it had at the step's start.
-Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for the end of its substep.
-Fails: numbers are float32. A turn by h omega advances the angle by its arctangent only. Fine settings push feet out.
+Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact waits for its substep's end.
+Fails: numbers are float32. A turn by h omega advances the angle by its arctangent only.
 Reference: Box2D v3 documentation, "Simulation"; Catto, "Solver2D" (2024).
 
 Settings: no friction, no sleeping; walls as thick as L on the box's body, set back by the feet's radius. The others are
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import pyb2d3
+import pyb2d3  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, X_JACK
@@ -37,10 +37,11 @@ class Model(Engine):
         thresholds = {"restitution_threshold": of["threshold"], "hit_event_threshold": 0.0}
         self._world = pyb2d3.World(gravity=(0.0, -scene.gravity), maximum_linear_speed=1e5, **thresholds)
         self._world.set_contact_tuning(of["hertz"], of["damping"], of["push"])
-        add = self._world.create_dynamic_body
-        self._bodies = add(enable_sleep=False, gravity_scale=0.0), add(enable_sleep=False, is_bullet=of["bullet"])
+        kinds = {"gravity_scale": 0.0}, {"is_bullet": of["bullet"]}
+        self._bodies = [self._world.create_dynamic_body(enable_sleep=False, **kind) for kind in kinds]
         material = pyb2d3.surface_material(friction=0.0, restitution=scene.restitution)
-        shape, self._numbers = pyb2d3.shape_def(density=0.0, material=material, enable_hit_events=True), {}
+        shape = pyb2d3.shape_def(density=0.0, material=material, enable_hit_events=True)
+        self._numbers: dict[int, int] = {}  # of walls and feet, by the ids of their shapes
         for number, (x, y) in enumerate(DIRECTIONS):
             wall = pyb2d3.box(*((0.5 * half, 2.0 * half)[:: 1 if x else -1]), (x * back, y * back))
             foot = pyb2d3.circle((x * scene.jack_arm, y * scene.jack_arm), radius)

@@ -16,8 +16,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import LeafSystem, UnrestrictedUpdateEvent, WitnessFunctionDirection
+from pydrake.systems import analysis, framework  # type: ignore[import-not-found,unused-ignore]
 
 from jackbox_env.mechanics import impact_map
 from jackbox_env.model.scene import Scene
@@ -27,17 +26,19 @@ from scripts.studies.baselines.base import Baseline, Pair, Trace
 from scripts.studies.baselines.solve_ivp import event, slope
 
 
-class Jack(LeafSystem):  # type: ignore[misc]
-    """Box and jack as a system of 12 continuous states; its user sets ``torque`` and ``impacts``."""
+class Jack(framework.LeafSystem):  # type: ignore[misc,unused-ignore]
+    """Box and jack as a system of 12 continuous states; its user sets ``torque``, and ``impacts``."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
         self.DeclareContinuousState(RATES, RATES, 0)
-        self._scene, self._witnesses, self.torque, self.impacts = scene, list[Any](), None, list[Impact]()
-        falls = WitnessFunctionDirection.kPositiveThenNonPositive
+        self._scene, self._witnesses, self.impacts = scene, list[Any](), list[Impact]()
+        self.torque: float | None = None
+        falls = framework.WitnessFunctionDirection.kPositiveThenNonPositive
         for pair in (divmod(number, 4) for number in range(16)):
-            gap, update = event(scene, *pair), UnrestrictedUpdateEvent(partial(self._strike, pair))
-            self._witnesses.append(self.MakeWitnessFunction(f"gap {pair}", falls, partial(self._gap, gap), update))
+            update = framework.UnrestrictedUpdateEvent(partial(self._strike, pair))
+            gap = partial(self._gap, event(scene, *pair))
+            self._witnesses.append(self.MakeWitnessFunction(f"gap {pair}", falls, gap, update))
 
     def DoGetWitnessFunctions(self, context: Any) -> list[Any]:  # noqa: D102, N802
         return self._witnesses
@@ -64,17 +65,17 @@ class Model(Baseline):
     def __init__(self, scene: Scene, accuracy: float, scheme: str, longest: float) -> None:
         super().__init__(scene, 1)
         self._system = Jack(scene)
-        self._simulator = Simulator(self._system)
-        ResetIntegratorFromFlags(self._simulator, scheme, longest).set_target_accuracy(accuracy)
-        self._simulator.get_mutable_context().SetAccuracy(accuracy)
+        self._simulator = analysis.Simulator(self._system)
+        analysis.ResetIntegratorFromFlags(self._simulator, scheme, longest).set_target_accuracy(accuracy)
+        self._context: Any = self._simulator.get_mutable_context()
+        self._context.SetAccuracy(accuracy)
 
     def _simulate(
         self, state: list[float], time: float, h: float, torque: float | None, impacts: Any, trace: Trace | None = None
     ) -> tuple[list[float], float]:
-        context = self._simulator.get_mutable_context()
-        context.SetTimeAndContinuousState(time, state)
+        self._context.SetTimeAndContinuousState(time, state)
         self._system.torque, self._system.impacts = torque, []
         self._simulator.Initialize()
         self._simulator.AdvanceTo(time + h)
         impacts += [(hit, False) for hit in self._system.impacts]
-        return context.get_continuous_state_vector().CopyToVector().tolist(), self._torque(time, h, torque)
+        return self._context.get_continuous_state_vector().CopyToVector().tolist(), self._torque(time, h, torque)
