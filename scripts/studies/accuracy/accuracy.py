@@ -273,10 +273,9 @@ def draw_all(record: study.Record, folder: Path) -> None:
     results, pictures = Results.of_record(record), folder / "accuracy"
     pictures.mkdir(exist_ok=True)
     draw(results, pictures / "work_precision.svg")
-    ours = [name for name in ranking(results) if not name.startswith(tuple(engines.ENGINES))]
+    ours = [name for name in ranking(results) if not name.startswith((*engines.ENGINES,))]
     draw_impacts(results, ours, pictures / "impacts.png")
-    timed = [name for name in ranking(results) if (name, REFERENCE, COST) in results.rows]
-    draw_engines(results, timed, pictures / "engines.png")
+    draw_engines(results, [one["setting"][0] for one in record.get("engine_costs", [])], pictures / "engines.png")
 
 
 def report(record: study.Record) -> None:

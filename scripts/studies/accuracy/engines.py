@@ -20,7 +20,6 @@ from scripts.studies.study import Record
 from scripts.studies.timing import Timed, measure, repeat
 
 TIMED = ("chirp-0", "chirp-1", "held-0", "held-1", "weightless")  # proven cases of 5 s, on which costs are measured
-SUBSTEPS = (2, 4, 16, 64)
 
 
 class Engine(NamedTuple):
@@ -31,14 +30,17 @@ class Engine(NamedTuple):
     best: dict[str, Any]  # settings that the search found
     tried: dict[str, tuple[Any, ...]]  # by setting: its default, which the search starts from, and others
     unit: str = "substeps"  # what the points are
-    points: tuple[float, ...] = SUBSTEPS
+    points: tuple[float, ...] = (2, 4, 16, 64)
     searched: tuple[float, ...] = (4, 64)  # points at which settings are compared
 
     @property
     def version(self) -> str:
         """The package's version; empty if Python or Node does not find it."""
-        of_python = installed([self.package])[self.package].removeprefix("not installed")
-        return version(self.package) if self.adapter in IN_JAVASCRIPT else of_python
+        return (
+            version(self.package)
+            if self.adapter in IN_JAVASCRIPT
+            else installed([self.package])[self.package].removeprefix("not installed")
+        )
 
 
 ENGINES = {
@@ -123,8 +125,8 @@ def engine_of(engine: str, point: float) -> dict[str, Any]:
 
 def costs_of(rounds: int, seconds: float) -> list[dict[str, Any]]:
     """Costs of all that play the proven cases, measured in turn: processor times of whole plays of some of them."""
-    ours = (setting_of(name, point) for name in present() for point in ENGINES[name].points)
-    settings = {one.name: one for one in (*these.contenders(quick=False), *ours)}
+    theirs = (setting_of(name, point) for name, one in ENGINES.items() if one.version for point in one.points)
+    settings = {one.name: one for one in (*these.contenders(quick=False), *theirs)}
     rates = measure({name: timed_of(setting, seconds) for name, setting in settings.items()}, rounds)
     row = {"kind": REFERENCE, "quantity": COST, "unit": "us/s"}
     costs = ((settings[name][:3], these.summed_up(1e6 / rate for rate in of)) for name, of in rates.items())
@@ -134,9 +136,9 @@ def costs_of(rounds: int, seconds: float) -> list[dict[str, Any]]:
 def timed_of(setting: Setting, seconds: float) -> Timed:
     """Simulated seconds per second of the processor."""
     if setting.make is None:
-        chosen = ENGINES[setting.family]
-        play_them = {"substeps": setting.substeps, "seconds": seconds, "cases": TIMED, **chosen.best}
-        return lambda: float(play(chosen.adapter, play_them)[2]["speed"])
+        _, adapter, best, *_ = ENGINES[setting.family]
+        settings = {"substeps": setting.substeps, "seconds": seconds, "cases": TIMED, **best}
+        return lambda: float(play(adapter, settings)[2]["speed"])
     cases = [referee.reference()[name][0] for name in TIMED]
     rate = repeat(these.stepped(setting.make, cases), seconds, clock=time.thread_time)
     return lambda: these.DT * rate()
@@ -145,15 +147,11 @@ def timed_of(setting: Setting, seconds: float) -> Timed:
 PARTS: dict[str, Callable[..., Any]] = {"search": search_of, "engines": engine_of, "engine_costs": costs_of}
 
 
-def present() -> list[str]:
-    """Engines that are installed."""
-    return [name for name, engine in ENGINES.items() if engine.version]
-
-
 def trials(rounds: int, seconds: float) -> list[dict[str, Any]]:
     """The trials of these parts, of the engines that are installed."""
-    searches = [{"part": "search", "engine": name} for name in present()]
-    scores = [{"part": "engines", "engine": name, "point": at} for name in present() for at in ENGINES[name].points]
+    present = {name: engine.points for name, engine in ENGINES.items() if engine.version}
+    searches = [{"part": "search", "engine": name} for name in present]
+    scores = [{"part": "engines", "engine": name, "point": point} for name in present for point in present[name]]
     return [*searches, *scores, {"part": "engine_costs", "rounds": rounds, "seconds": seconds}]
 
 

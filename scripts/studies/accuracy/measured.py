@@ -274,9 +274,10 @@ def errors_of(name: str, quick: bool, cases: int) -> dict[str, Any]:
     """All errors of a setting: on the seeded cases, and on the proven ones if it plays these."""
     (setting,) = {one.name: one for one in settings(quick) + contenders(quick) if one.name == name}.values()
     records, proven = list[Record](), list(referee.reference().values())
-    if name in [one.name for one in contenders(quick)]:
+    if setting.make and name in [one.name for one in contenders(quick)]:
         elastic_only = setting.family == "mujoco"
-        records += [refereed(setting, known) for known in proven if known[0].scene.elastic or not elastic_only]
+        played = [known for known in proven if known[0].scene.elastic or not elastic_only]
+        records += [as_record(name, score_of(setting.make, known)) for known in played]
     if name in [one.name for one in settings(quick)]:
         records += [measured(setting, kind, *case) for kind in KINDS for case in _references(kind, cases)]
     return {"setting": setting[:3], "rows": summaries(records)}
@@ -318,12 +319,6 @@ def as_record(name: str, score: referee.Score) -> Record:
     return score._asdict() | {
         "setting": name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration
     }  # fmt: skip
-
-
-def refereed(setting: Setting, known: referee.Known) -> Record:
-    """The referee's score of one setting on one proven case."""
-    assert setting.make is not None
-    return as_record(setting.name, score_of(setting.make, known))
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:

@@ -187,8 +187,13 @@ def draw_engines(results: Results, settings: Sequence[str], path: Path) -> None:
         x, y = zip(*sorted(points, key=lambda point: point[1]), strict=True)
         axes.plot(x, y, marker=marker, color=colour, markersize=6)
         axes.annotate(text, (x[-1], y[-1]), offset, textcoords="offset points", color=colour, ha=aligned, va="center")
-    axes.set(xscale="log", xlim=(8e1, 1e6), ylim=(0.0, 100.0))
-    axes.set(xlabel="computing time per simulated second", ylabel="correct impacts [%]")
+    axes.set(
+        xscale="log",
+        xlim=(8e1, 1e6),
+        ylim=(0.0, 100.0),
+        xlabel="computing time per simulated second",
+        ylabel="correct impacts [%]",
+    )
     axes.set_xticks([1e2, 1e3, 1e4, 1e5], ["0.1 ms", "1 ms", "10 ms", "0.1 s"])
     axes.set_title("Proven impacts that are right, against computing time", loc="left", fontsize="medium")
     axes.grid()

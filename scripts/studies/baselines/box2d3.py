@@ -34,19 +34,19 @@ class Model(Engine):
         scene, half, of = self.scene, self.scene.box_half_width, self._settings
         radius, back = of["radius"] * half, (1.5 + of["radius"]) * half
         pyb2d3.set_length_units_per_meter(of["units"])  # of the whole process
-        thresholds = {"restitution_threshold": of["threshold"], "hit_event_threshold": 0.0}
-        self._world = pyb2d3.World(gravity=(0.0, -scene.gravity), maximum_linear_speed=1e5, **thresholds)
+        fixed = {"hit_event_threshold": 0.0, "maximum_linear_speed": 1e5, "gravity": (0.0, -scene.gravity)}
+        self._world = pyb2d3.World(restitution_threshold=of["threshold"], **fixed)
         self._world.set_contact_tuning(of["hertz"], of["damping"], of["push"])
-        kinds = {"gravity_scale": 0.0}, {"is_bullet": of["bullet"]}
-        self._bodies = [self._world.create_dynamic_body(enable_sleep=False, **kind) for kind in kinds]
-        material = pyb2d3.surface_material(friction=0.0, restitution=scene.restitution)
-        shape = pyb2d3.shape_def(density=0.0, material=material, enable_hit_events=True)
+        self._bodies = [self._world.create_dynamic_body(gravity_scale=n, enable_sleep=False) for n in (0.0, 1.0)]
+        self._bodies[1].bullet = of["bullet"]
+        shape = pyb2d3.shape_def(density=0.0, enable_hit_events=True)
+        shape.material = pyb2d3.surface_material(friction=0.0, restitution=scene.restitution)
         self._numbers: dict[int, int] = {}  # of walls and feet, by the ids of their shapes
         for number, (x, y) in enumerate(DIRECTIONS):
             wall = pyb2d3.box(*((0.5 * half, 2.0 * half)[:: 1 if x else -1]), (x * back, y * back))
             foot = pyb2d3.circle((x * scene.jack_arm, y * scene.jack_arm), radius)
-            pairs = zip(self._bodies, (wall, foot), strict=True)
-            self._numbers |= {body.create_shape(shape, part).id: number for body, part in pairs}
+            shapes = map(pyb2d3.Body.create_shape, self._bodies, (shape, shape), (wall, foot))
+            self._numbers |= dict.fromkeys((one.id for one in shapes), number)
         for body, whose in zip(self._bodies, ("box", "jack"), strict=True):
             data: Any = pyb2d3.MassData()
             data.mass, data.rotational_inertia = getattr(scene, f"{whose}_mass"), getattr(scene, f"{whose}_inertia")
@@ -56,10 +56,8 @@ class Model(Engine):
         self._start = state
         for body, at in zip(self._bodies, (0, X_JACK), strict=True):
             body.set_transform((state[at] - state[0], state[at + 1] - state[1]), pyb2d3.Rot(state[at + 2]))
-            body.linear_velocity, body.angular_velocity = (
-                tuple(state[RATES + at : RATES + at + 2]),
-                state[RATES + at + 2],
-            )
+            rates = tuple(state[RATES + at : RATES + at + X_JACK])
+            body.linear_velocity, body.angular_velocity = rates[:2], rates[2]
 
     def _substep(self, h: float, torque: float) -> dict[Pair, float]:
         self._bodies[0].apply_torque(torque)
@@ -67,9 +65,6 @@ class Model(Engine):
         hits = [(hit.shape_a, hit.shape_b) for hit in self._world.get_contact_events().hit_events()]
         numbers = ({one.body == self._bodies[0]: self._numbers[one.id] for one in shapes} for shapes in hits)
         return {(of[True], of[False]): math.nan for of in numbers}  # a hit's impulse is not offered
-
-    def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        return True  # with the substep
 
     def _read(self) -> list[float]:
         q, v = list[float](), list[float]()

@@ -14,7 +14,7 @@ speed in discrete steps of 0.3 ms by TAMSI, "similar" or "lagged", 0.1 % by SAP.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from pydrake.systems import analysis, framework  # type: ignore[import-not-found,unused-ignore]
 
@@ -36,8 +36,8 @@ class Jack(framework.LeafSystem):  # type: ignore[misc,unused-ignore]
         self.torque: float | None = None
         falls = framework.WitnessFunctionDirection.kPositiveThenNonPositive
         for pair in (divmod(number, 4) for number in range(16)):
-            update = framework.UnrestrictedUpdateEvent(partial(self._strike, pair))
-            gap = partial(self._gap, event(scene, *pair))
+            gap, strike = partial(self._gap, event(scene, *pair)), partial(self._strike, pair)
+            update = framework.UnrestrictedUpdateEvent(strike)
             self._witnesses.append(self.MakeWitnessFunction(f"gap {pair}", falls, gap, update))
 
     def DoGetWitnessFunctions(self, context: Any) -> list[Any]:  # noqa: D102, N802
@@ -64,10 +64,9 @@ class Model(Baseline):
 
     def __init__(self, scene: Scene, accuracy: float, scheme: str, longest: float) -> None:
         super().__init__(scene, 1)
-        self._system = Jack(scene)
-        self._simulator = analysis.Simulator(self._system)
+        self._simulator = analysis.Simulator(system := Jack(scene))
+        self._system, self._context = system, cast(Any, self._simulator.get_mutable_context())
         analysis.ResetIntegratorFromFlags(self._simulator, scheme, longest).set_target_accuracy(accuracy)
-        self._context: Any = self._simulator.get_mutable_context()
         self._context.SetAccuracy(accuracy)
 
     def _simulate(

@@ -17,8 +17,8 @@ FOLDER = Path(__file__).parent
 
 def version(package: str) -> str:
     """The version of a package in node_modules above this file or in NODE_PATH; empty if Node does not find it."""
-    file = f"require.resolve.paths({package!r}).map((path) => `${{path}}/{package}/package.json`).find(fs.existsSync)"
-    command = [shutil.which("node") or "false", "--print", f"require({file}).version"]
+    paths = f"require.resolve.paths({package!r}).map((path) => `${{path}}/{package}/package.json`)"
+    command = [shutil.which("node") or "false", "--print", f"require({paths}.find(fs.existsSync)).version"]
     return subprocess.run(command, cwd=FOLDER, capture_output=True, text=True).stdout.strip()
 
 
