@@ -139,7 +139,7 @@ class Engine(Baseline):
         """Play one substep. Return the impulses of the contacts that pushed, detected at its start [N s]."""
 
     def _is_over(self, state: list[float], wall: int, foot: int) -> bool:
-        """Whether a contact that pushed in the last substep has ended; unless overridden, each ends with its substep."""
+        """Whether a contact that pushed in the last substep has ended; unless overridden, it ends with the substep."""
         return True
 
     @abstractmethod

@@ -6,9 +6,8 @@ Order: first in h = dt / substeps: flight runs ahead by g h t / 2, and an impact
 Fails: numbers are float32. A turn by h omega advances the angle by its arctangent only.
 Reference: Box2D v3 documentation, "Simulation"; Catto, "Solver2D" (2024).
 
-Settings: no friction, no sleeping; walls as thick as L on the box's body, set back by the feet's radius. The others are
-those of the search in docs/accuracy.md: ``units`` is of length per metre, to which the slop of 5 mm and the speculative
-distance of 20 mm are proportional. Each control step starts with the box at the origin, where float32 is finest.
+Settings: no friction, no sleeping; walls as thick as L, set back by the feet's radius; the others as the search in
+docs/accuracy.md found: slop and speculative distance are 5 and 20 mm times ``units`` (of length per metre).
 """
 
 from __future__ import annotations
@@ -34,13 +33,17 @@ class Model(Engine):
         scene, half, of = self.scene, self.scene.box_half_width, self._settings
         radius, back = of["radius"] * half, (1.5 + of["radius"]) * half
         pyb2d3.set_length_units_per_meter(of["units"])  # of the whole process
-        fixed = {"hit_event_threshold": 0.0, "maximum_linear_speed": 1e5, "gravity": (0.0, -scene.gravity)}
-        self._world = pyb2d3.World(restitution_threshold=of["threshold"], **fixed)
+        self._world = pyb2d3.World(
+            gravity=(0.0, -scene.gravity), restitution_threshold=of["threshold"], hit_event_threshold=0.0,
+            maximum_linear_speed=1e5,
+        )  # fmt: skip
         self._world.set_contact_tuning(of["hertz"], of["damping"], of["push"])
         self._bodies = [self._world.create_dynamic_body(gravity_scale=n, enable_sleep=False) for n in (0.0, 1.0)]
         self._bodies[1].bullet = of["bullet"]
-        shape = pyb2d3.shape_def(density=0.0, enable_hit_events=True)
-        shape.material = pyb2d3.surface_material(friction=0.0, restitution=scene.restitution)
+        shape = pyb2d3.shape_def(
+            density=0.0, enable_hit_events=True,
+            material=pyb2d3.surface_material(friction=0.0, restitution=scene.restitution),
+        )  # fmt: skip
         self._numbers: dict[int, int] = {}  # of walls and feet, by the ids of their shapes
         for number, (x, y) in enumerate(DIRECTIONS):
             wall = pyb2d3.box(*((0.5 * half, 2.0 * half)[:: 1 if x else -1]), (x * back, y * back))
@@ -56,8 +59,9 @@ class Model(Engine):
         self._start = state
         for body, at in zip(self._bodies, (0, X_JACK), strict=True):
             body.set_transform((state[at] - state[0], state[at + 1] - state[1]), pyb2d3.Rot(state[at + 2]))
-            rates = tuple(state[RATES + at : RATES + at + X_JACK])
-            body.linear_velocity, body.angular_velocity = rates[:2], rates[2]
+            body.linear_velocity, body.angular_velocity = (
+                tuple(state[RATES + at : RATES + at + 2]), state[RATES + at + 2]
+            )  # fmt: skip
 
     def _substep(self, h: float, torque: float) -> dict[Pair, float]:
         self._bodies[0].apply_torque(torque)

@@ -17,8 +17,11 @@ FOLDER = Path(__file__).parent
 
 def version(package: str) -> str:
     """The version of a package in node_modules above this file or in NODE_PATH; empty if Node does not find it."""
-    paths = f"require.resolve.paths({package!r}).map((path) => `${{path}}/{package}/package.json`)"
-    command = [shutil.which("node") or "false", "--print", f"require({paths}.find(fs.existsSync)).version"]
+    command = [
+        shutil.which("node") or "false", "--print",
+        f"require(require.resolve.paths({package!r}).map((path) => `${{path}}/{package}/package.json`)"
+        ".find(fs.existsSync)).version",
+    ]  # fmt: skip
     return subprocess.run(command, cwd=FOLDER, capture_output=True, text=True).stdout.strip()
 
 
