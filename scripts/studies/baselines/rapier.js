@@ -2,7 +2,7 @@
 // Law: a step finds the contacts nearer than the prediction distance, then solves and moves "inner" times.
 // Settings: those of its IntegrationParameters, "inner" for numSolverIterations; the feet's "radius" over L; "ccd". The
 // larger restitution counts; no friction, no sleeping. Walls are as thick as the half width, set back by the radius.
-// It cannot compute in double precision, and finds an impact only at a step's end.
+// It cannot compute in double precision.
 const RAPIER = require("@dimforge/rapier2d-compat"), { main, directions } = require("./playing.js");
 const NAMES = ["lengthUnit", "contact_natural_frequency", "normalizedPredictionDistance", "normalizedAllowedLinearError"];
 NAMES.push("numInternalPgsIterations");
