@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -55,6 +55,12 @@ benchmark: .venv/ready
 
 benchmark-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/accuracy.py --quick --out None --no-progress
+
+# Box2D v3, Rapier, matter.js and Drake on the proven motions, the part of docs/accuracy.md, a quarter of an hour. Those
+# that are not installed stay as they are stored: pip install pyb2d3 drake; npm install --no-save, here,
+# @dimforge/rapier2d-compat matter-js.
+engines: .venv/ready
+	@$(BIN)/python scripts/studies/accuracy/accuracy.py --parts search engines engine_costs
 
 # Single environments only, a minute: the README's table, and the part of docs/speed.md.
 throughput: .venv/ready

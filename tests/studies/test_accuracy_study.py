@@ -102,7 +102,8 @@ FEW = ("--quick", "--cases", "2", "--rounds", "1", "--seconds", "0.001", "--no-p
 
 def test_the_referee_scores_an_engine_of_the_study() -> None:
     (pymunk,) = (one for one in measured.contenders(quick=True) if one.name == measured.DEFAULT)
-    record = measured.refereed(pymunk, referee.reference()["bounce"])
+    assert pymunk.make is not None
+    record = measured.as_record(pymunk.name, measured.score_of(pymunk.make, referee.reference()["bounce"]))
     assert record["kind"] == measured.REFERENCE
     assert record["prefix"] == record["correct"] == 1
     assert 0.0 < record["errors"][0] < 0.005

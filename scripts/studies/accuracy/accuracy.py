@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 from jackbox_env.simulators.fidelity import FIDELITIES
 from jackbox_env.tools import checks as check
 from scripts.studies import study
+from scripts.studies.accuracy import answers, engines
 from scripts.studies.accuracy import measured as these
 from scripts.studies.accuracy.measured import (
     ALL,
     BATCH,
+    COST,
     DEFAULT,
     DT,
     EXACT,
@@ -29,7 +31,7 @@ from scripts.studies.accuracy.measured import (
     of_fidelity,
     pymunk,
 )
-from scripts.studies.accuracy.picture import draw, draw_impacts
+from scripts.studies.accuracy.picture import draw, draw_engines, draw_impacts
 from scripts.studies.pages import table, two_digits
 
 
@@ -55,7 +57,8 @@ def trials(arguments: Arguments) -> study.Trials:
     seconds = check.real("seconds", arguments.seconds, above=0.0)
     names = dict.fromkeys(one.name for one in these.settings(few) + these.contenders(few) if one.make)
     errors = [{"part": "errors", "name": name, "quick": few, "cases": cases} for name in names]
-    return [*errors, {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}]
+    costs = {"part": "costs", "quick": few, "cases": cases, "rounds": rounds, "seconds": seconds}
+    return [*errors, costs, *([] if few else engines.trials(rounds, seconds))]
 
 
 class Claim(NamedTuple):
@@ -73,7 +76,7 @@ def claims(results: Results) -> list[Claim]:
     )
     deep = max(proven_depth.worst, results.of(EXACT, "depth", ALL).worst)
     best, *_, last = ranking(results)
-    swept = {key[0]: row.substeps or 1 for key, row in results.rows.items() if row.family == PYMUNK}
+    swept = {key[0]: row.substeps or 1 for key, row in results.rows.items() if row.family == PYMUNK and row.kind == ALL}
     late = max(results.of(name, "first_1").worst * substeps / DT for name, substeps in swept.items())
     wrong, lost = (sum(results.of(name, it, ALL).total for name in (EXACT, *swept)) for it in ("wrong", "escaped"))
     order = results.order("first_1")
@@ -149,7 +152,7 @@ def filled(record: study.Record) -> dict[str, Any]:
     results, about = Results.of_record(record), record["costs"]["about"]
     missing = "".join(f" {name}: {sentence}." for name, sentence in about["missing"].items())
     fields = {"fidelity_table": fidelity_table(results), "about": about, "missing": missing}
-    return fields | _words(results) | _tables(results)
+    return fields | {"answers": answers.words(record)} | _words(results) | _tables(results)
 
 
 def fidelity_table(results: Results) -> str:
@@ -235,14 +238,15 @@ def reference_table(results: Results) -> str:
     """The settings on the proven cases, by correct impacts."""
     rows = []
     for name in ranking(results):
-        correct, known, complete, first, depth, energy, escaped = (
-            results.of(name, quantity, REFERENCE)
-            for quantity in ("prefix", "known", "complete", "first_1", "depth", "imbalance", "escaped")
+        correct, known, complete, first, depth, energy, escaped, cost = (
+            results.rows.get((name, REFERENCE, quantity), Row(name, "", None, REFERENCE, quantity, "", 0))
+            for quantity in ("prefix", "known", "complete", "first_1", "depth", "imbalance", "escaped", COST)
         )
         counts = f"{correct.total:g} of {known.total:g}", f"{complete.total:g} of {complete.n}"
-        rows.append((name, *counts, _spread(first), figure(depth.worst), _spread(energy), f"{escaped.total:g}"))
-    heads = ("setting", "correct impacts", "complete cases", "first impact [s]", "penetration [m]", "energy", "escaped")
-    return table(heads, rows)
+        errors = _spread(first), figure(depth.worst), _spread(energy), f"{escaped.total:g}"
+        rows.append((name, *counts, *errors, figure(cost.median)))
+    heads = "setting", "correct impacts", "complete cases", "first impact [s]", "penetration [m]", "energy", "lost"
+    return table((*heads, "µs per simulated s"), rows)
 
 
 def _spread(row: Row) -> str:
@@ -264,12 +268,14 @@ def _cell(results: Results, name: str, quantity: str, runs: int) -> str:
 # -- the study ---------------------------------------------------------------------------------------------------------
 
 
-def draw_both(record: study.Record, folder: Path) -> None:
-    """Draw both pictures."""
+def draw_all(record: study.Record, folder: Path) -> None:
+    """Draw the pictures."""
     results, pictures = Results.of_record(record), folder / "accuracy"
     pictures.mkdir(exist_ok=True)
     draw(results, pictures / "work_precision.svg")
-    draw_impacts(results, ranking(results), pictures / "impacts.png")
+    ours = [name for name in ranking(results) if not name.startswith((*engines.ENGINES,))]
+    draw_impacts(results, ours, pictures / "impacts.png")
+    draw_engines(results, [one["setting"][0] for one in record.get("engine_costs", [])], pictures / "engines.png")
 
 
 def report(record: study.Record) -> None:
@@ -289,14 +295,15 @@ def report(record: study.Record) -> None:
 
 STUDY = study.Study(
     "accuracy",
-    {"errors": these.errors_of, "costs": these.costs_of},
+    {"errors": these.errors_of, "costs": these.costs_of, **engines.PARTS},
     filled,
     Arguments,
     trials,
-    single=frozenset({"costs"}),
-    alone=frozenset({"costs"}),
+    single=frozenset({"costs", "engine_costs"}),
+    alone=frozenset({"costs", "engine_costs"}),
     packages=("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "numba", "mujoco", "box2d"),
-    draw=draw_both,
+    joined=engines.with_stored,
+    draw=draw_all,
     report=report,
 )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -122,6 +122,7 @@ DEFAULT = of_fidelity("balanced")
 
 # -- summaries ---------------------------------------------------------------------------------------------------------
 
+COST = "time"  # of playing proven cases [us/s]
 ALL = "all seeds"
 PREDICTABLE = 11  # impacts of a case that float64 can predict
 SPREAD, LEAST, MEAN, TOTAL = "median and worst", "median and least", "mean with interval", "total"
@@ -261,7 +262,8 @@ class Results:
     @classmethod
     def of_record(cls, record: Stored) -> Results:
         """The rows of a stored record."""
-        groups = [*record["costs"]["settings"], *record["errors"]]
+        groups = [*record["costs"]["settings"], *record["errors"], *record.get("engines", [])]
+        groups += record.get("engine_costs", [])
         return cls(Row(*of["setting"], **row) for of in groups for row in of["rows"])
 
 
@@ -272,9 +274,10 @@ def errors_of(name: str, quick: bool, cases: int) -> dict[str, Any]:
     """All errors of a setting: on the seeded cases, and on the proven ones if it plays these."""
     (setting,) = {one.name: one for one in settings(quick) + contenders(quick) if one.name == name}.values()
     records, proven = list[Record](), list(referee.reference().values())
-    if name in [one.name for one in contenders(quick)]:
+    if setting.make and name in [one.name for one in contenders(quick)]:
         elastic_only = setting.family == "mujoco"
-        records += [refereed(setting, known) for known in proven if known[0].scene.elastic or not elastic_only]
+        played = [known for known in proven if known[0].scene.elastic or not elastic_only]
+        records += [as_record(name, score_of(setting.make, known)) for known in played]
     if name in [one.name for one in settings(quick)]:
         records += [measured(setting, kind, *case) for kind in KINDS for case in _references(kind, cases)]
     return {"setting": setting[:3], "rows": summaries(records)}
@@ -303,15 +306,19 @@ def _references(kind: str, count: int) -> list[tuple[Case, Reference]]:
     return [(case, reference_of(case)) for case in cases]
 
 
-def refereed(setting: Setting, known: referee.Known) -> Record:
-    """The referee's score of one setting on one proven case."""
-    assert setting.make is not None
+def score_of(make: Callable[[Scene], Simulator], known: referee.Known) -> referee.Score:
+    """The referee's score of a simulator on one proven case."""
     case, _ = known
-    course = follow(setting.make(case.scene), case, inspect=None)
+    course = follow(make(case.scene), case, inspect=None)
     times: Array = case.dt * np.arange(len(course.states), dtype=np.float64)
-    score = referee.score(known, times, course.states, course.impacts)
-    record = {"setting": setting.name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration}
-    return score._asdict() | record
+    return referee.score(known, times, course.states, course.impacts)
+
+
+def as_record(name: str, score: referee.Score) -> Record:
+    """The score of the setting of this name on one proven case, with the names of the quantities."""
+    return score._asdict() | {
+        "setting": name, "kind": REFERENCE, "prefix": score.correct, "depth": score.penetration
+    }  # fmt: skip
 
 
 def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> Record:
@@ -326,18 +333,18 @@ def measured(setting: Setting, kind: str, case: Case, reference: Reference) -> R
 
 def cost_of(setting: Setting, seconds: float) -> Timed:
     """Simulated seconds per second of this thread's own time, which stops while others use the processor."""
-    block = _stepped(setting.make) if setting.make else _together()
+    cases = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
+    block = stepped(setting.make, cases) if setting.make else _together()
     timed = repeat(block, seconds, clock=time.thread_time)
     return lambda: DT * timed()
 
 
-def _stepped(make: Callable[[Scene], Simulator]) -> Callable[[], int]:
+def stepped(make: Callable[[Scene], Simulator], cases: Sequence[Case]) -> Callable[[], int]:
     """A block that steps a contact model through some cases."""
-    chosen = [seeded(kind, seed) for kind in KINDS for seed in range(2)]
-    simulators = [make(case.scene) for case in chosen]
+    simulators = [make(case.scene) for case in cases]
 
     def block() -> int:
-        for simulator, case in zip(simulators, chosen, strict=True):
+        for simulator, case in zip(simulators, cases, strict=True):
             simulator.reset(case.state)
             try:
                 for number in range(case.steps):

@@ -14,6 +14,7 @@ from jackbox_env.commands.plots import GREY  # this import sets the style of all
 from jackbox_env.tools.files import replacing
 from scripts.studies.accuracy.measured import (
     BATCH,
+    COST,
     DETECTION,
     EXACT,
     PREDICTABLE,
@@ -155,5 +156,46 @@ def draw_impacts(results: Results, settings: Sequence[str], path: Path) -> None:
         axis.set_title(f"Median error of a correct impact's time [s]: {which}", loc="left", fontsize="medium")
         axis.grid()
         axis.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.18), ncols=2)
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})
+
+
+_LINES = {  # of the diagram of engines: marker, colour, label of the finest setting, its offset [points], alignment
+    EXACT: ("D", "C0", "exact", (8, 0), "left"),
+    PYMUNK: ("o", "C2", "pymunk", (-8, 2), "right"),
+    "Box2D v3": ("s", "C1", "Box2D v3", (8, 5), "left"),
+    "Rapier": ("^", "C4", "Rapier", (8, -5), "left"),
+    "matter.js": ("v", "C5", "matter.js", (6, -10), "left"),
+    "Drake": ("P", "C6", "Drake", (0, 9), "center"),
+    "solve_ivp": ("*", GREY, "SciPy", (-4, 9), "center"),
+    "box2d": ("s", GREY, "Box2D 2.3", (0, 10), "center"),
+    "mujoco": ("X", GREY, "MuJoCo", (8, -2), "left"),
+    DETECTION: ("x", "C3", "threshold detection", (4, -11), "center"),
+}
+
+
+def draw_engines(results: Results, settings: Sequence[str], path: Path) -> None:
+    """Draw the share of correct impacts against the cost: a line for each engine, from coarse to fine settings."""
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for name in settings:
+        correct, known, cost = (results.of(name, quantity, REFERENCE) for quantity in ("prefix", "known", COST))
+        lines.setdefault(correct.family, []).append((cost.median, 100.0 * correct.total / known.total))
+    figure = Figure(figsize=(5.0, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for family, points in lines.items():
+        marker, colour, text, offset, aligned = _LINES[family]
+        x, y = zip(*sorted(points, key=lambda point: point[1]), strict=True)
+        axes.plot(x, y, marker=marker, color=colour, markersize=6)
+        axes.annotate(text, (x[-1], y[-1]), offset, textcoords="offset points", color=colour, ha=aligned, va="center")
+    axes.set(
+        xscale="log",
+        xlim=(8e1, 1e6),
+        ylim=(0.0, 100.0),
+        xlabel="computing time per simulated second",
+        ylabel="correct impacts [%]",
+    )
+    axes.set_xticks([1e2, 1e3, 1e4, 1e5], ["0.1 ms", "1 ms", "10 ms", "0.1 s"])
+    axes.set_title("Proven impacts that are right, against computing time", loc="left", fontsize="medium")
+    axes.grid()
     with replacing(path) as partial:
         figure.savefig(partial, dpi=150, format="png", metadata={"Software": None})

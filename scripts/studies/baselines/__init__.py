@@ -12,6 +12,7 @@ from collections.abc import Callable
 from scripts.studies.baselines.base import Baseline
 
 _PACKAGES = {"box2d": ("Box2D", "dev"), "mujoco": ("mujoco", "peers")}  # and the extra of this project that installs it
+IN_JAVASCRIPT = ("rapier", "matter")  # adapters that Node runs
 
 
 def missing() -> dict[str, str]:

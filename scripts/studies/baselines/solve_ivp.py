@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -39,6 +40,12 @@ def event(scene: Scene, wall: int, foot: int) -> Callable[[float, Array], float]
     return gap
 
 
+def slope(scene: Scene, torque: float | None, time: float, y: Array) -> Array:
+    """The derivative of a state by time in flight, under a constant torque or the drive."""
+    load = scene.drive.torque(time) if torque is None and scene.drive and scene.drive.torque else torque or 0.0
+    return np.array([*y[RATES:], 0.0, 0.0, load / scene.box_inertia, 0.0, -scene.gravity, 0.0])
+
+
 class Model(Baseline):
     """``solve_ivp``, see the module's docstring."""
 
@@ -58,15 +65,10 @@ class Model(Baseline):
         impacts: list[tuple[Impact, bool]],
         trace: Trace | None = None,
     ) -> tuple[list[float], float]:
-        def slope(t: float, y: Array) -> Array:
-            drive = self.scene.drive
-            load = drive.torque(t) if torque is None and drive is not None and drive.torque else torque or 0.0
-            return np.array([*y[RATES:], 0.0, 0.0, load / self.scene.box_inertia, 0.0, -self.scene.gravity, 0.0])
-
         y, since, end = np.array(state), time, time + h
         tolerances = {"rtol": self._tolerance, "atol": self._tolerance}
         for _ in range(MOST):
-            solution = solve_ivp(slope, (since, end), y, events=self._events, **tolerances)
+            solution = solve_ivp(partial(slope, self.scene, torque), (since, end), y, events=self._events, **tolerances)
             since, y = float(solution.t[-1]), solution.y[:, -1]
             if solution.status != 1:  # no event ended it
                 return y.tolist(), self._torque(time, h, torque)

@@ -1,0 +1,134 @@
+"""Engines that people use, on the proven motions: the adapters, the search, and results that stay as stored."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jackbox_env import cheapest, make_simulator
+from jackbox_env.measure.accuracy import follow
+from scripts import referee
+from scripts.studies.accuracy import accuracy, answers, engines, measured
+from scripts.studies.baselines import javascript
+
+RECORD = accuracy.STUDY.read(Path(__file__).parents[2] / "docs")
+RESULTS = measured.Results.of_record(RECORD)
+FINEST = [(name, engine.points[-1]) for name, engine in engines.ENGINES.items()]
+
+
+def installed(name: str) -> engines.Engine:
+    """The engine; skips the test if it is not installed."""
+    engine = engines.ENGINES[name]
+    return engine if engine.version else pytest.skip(f"{name} is not installed")
+
+
+@pytest.mark.parametrize(("name", "point"), FINEST)
+def test_an_adapter_plays_one_fall_and_bounce(name: str, point: float) -> None:
+    (score,) = engines.scores_of(name, point, installed(name).best, cases=("bounce",))
+    assert score.complete
+    assert score.errors is not None
+    assert score.errors[0] < (1e-10 if name == "Drake" else 0.02 / point)
+    assert score.pose is not None
+    assert score.pose < 0.01
+    assert score.imbalance is not None
+    assert score.imbalance < 1e-3
+    assert not score.escaped
+
+
+@pytest.mark.parametrize(("name", "point"), FINEST)
+def test_an_adapter_plays_cases_with_loss_torque_and_chirp(name: str, point: float) -> None:
+    scores = engines.scores_of(name, point, installed(name).best, cases=("held-e0.95", "chirp-e0.9", "heavy-jack"))
+    assert {one.case for one in scores} == {"held-e0.95", "chirp-e0.9", "heavy-jack"}
+    assert all(one.complete for one in scores)
+    assert max(one.pose or 0.0 for one in scores) < 0.2
+
+
+def test_box2d_v3_returns_the_fraction_of_the_speed_that_restitution_asks_for() -> None:
+    (case, _), setting = referee.reference()["bounce"], engines.setting_of("Box2D v3", installed("Box2D v3").points[-1])
+    assert setting.make is not None
+    for restitution in (1.0, 0.5):
+        scene = case.scene.changed(restitution=restitution, gravity=0.0)
+        start = np.array([0.0, 0.0, 0.0, 0.0, 4.5, 0.3, 0.0, 0.0, 0.0, 0.0, 3.0, 0.0])
+        straight = case._replace(scene=scene, state=start, steps=25)
+        simulators = setting.make(scene), make_simulator(scene, "exact")
+        rates, exact = (follow(one, straight, inspect=None).states[-1, 6:] for one in simulators)
+        assert rates == pytest.approx(exact, abs=2e-3)
+
+
+def test_an_adapter_that_fails_says_why_and_a_package_that_is_missing_has_no_version() -> None:
+    assert javascript.version("no-such-package-of-jackbox") == ""
+    installed("matter.js")
+    with pytest.raises(RuntimeError, match="SyntaxError"):
+        javascript.play("matter", {"substeps": float("nan")})
+
+
+# -- the search --------------------------------------------------------------------------------------------------------
+
+
+def test_the_search_changes_a_setting_only_for_more_impacts_or_less_energy(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = {(0, 0): (3, 0.5), (1, 0): (4, 0.5), (1, 1): (4, 0.1), (1, 2): (4, 0.1), (1, 3): (3, 0.0)}
+
+    def scores_of(name: str, point: float, settings: dict[str, Any]) -> list[referee.Score]:
+        correct, energy = counts[settings["one"], settings["other"]]
+        return [referee.Score("bounce", 5, correct, False, None, 0.0, energy, False, None, None)]
+
+    engine = engines.Engine("numpy", "box2d3", {}, {"one": (0, 1), "other": (0, 1, 2, 3)})
+    monkeypatch.setitem(engines.ENGINES, "an engine", engine)
+    monkeypatch.setattr(engines, "scores_of", scores_of)
+    search = engines.search_of("an engine")
+    assert search["best"] == {"one": 1, "other": 1}
+    assert [row["correct"] for row in search["tried"]] == [6, 8, 8, 8, 6]  # at two points each
+
+
+@pytest.mark.parametrize("stored", RECORD["search"], ids=lambda stored: str(stored["setting"][0]))
+def test_an_engine_has_the_best_settings_of_the_stored_search(stored: dict[str, Any]) -> None:
+    engine = engines.ENGINES[stored["setting"][0]]
+    assert engine.best == stored["best"]
+    assert engine.best.keys() == engine.tried.keys()
+    assert all(engine.best[name] in values for name, values in engine.tried.items())
+
+
+# -- results -----------------------------------------------------------------------------------------------------------
+
+
+def test_results_of_engines_that_are_not_installed_stay_as_stored_and_the_page_says_so() -> None:
+    assert "not installed here" not in accuracy.STUDY.page(RECORD)
+    new = {
+        part: [one for one in copy.deepcopy(RECORD[part]) if one["setting"][1] != "Rapier"] for part in engines.PARTS
+    }
+    merged = engines.with_stored(new, RECORD)
+    for part in ("engines", "engine_costs"):
+        stored = {one["setting"][0]: one["rows"] for one in RECORD[part]}
+        assert {one["setting"][0]: one["rows"] for one in merged[part]} == stored
+        assert {one["setting"][1] for one in merged[part] if "kept" in one} == {"Rapier"}
+    page = accuracy.STUDY.page(RECORD | merged)
+    assert page.count("Rapier is not installed here: its results are of an earlier run.") == 1
+    assert page.count("not installed here") == 1
+
+
+def test_without_any_engine_only_those_of_this_project_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines.Engine, "version", "")
+    (trial,) = engines.trials(1, 0.001)
+    assert trial["part"] == "engine_costs"
+
+
+def test_the_table_has_every_engine_and_the_claims_of_its_ends_hold() -> None:
+    ranked = accuracy.ranking(RESULTS)
+    assert ranked[0] == measured.EXACT
+    assert ranked[-1] == measured.THRESHOLD
+    assert {RESULTS.of(name, "prefix", measured.REFERENCE).family for name in ranked} >= engines.ENGINES.keys()
+    assert {name for name, _, quantity in RESULTS.rows if quantity == measured.COST} == {*ranked}
+    words = answers.words(RECORD)
+    assert f"{words['fastest']}, 64 substeps" in ranked
+
+
+@pytest.mark.parametrize("bound", [0.005, 0.001])
+def test_cheapest_chooses_what_the_page_answers(bound: float) -> None:
+    late = {n: RESULTS.of(measured.pymunk(n).name, "first_1").worst for n in measured.SUBSTEPS}
+    swept = next(n for n, worst in late.items() if worst <= bound)
+    assert cheapest(first_impact_error=bound, contact="pymunk").setting.substeps == swept
+    assert cheapest(first_impact_error=bound, cases=4).setting.contact == measured.EXACT
