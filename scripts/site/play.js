@@ -159,7 +159,7 @@ function show(moment) {
   if (moment - player.read < READ) return;
   player.read = moment;
   const begun = game.shares.length > 0 || game.open;
-  byId("clock").textContent = fixed(player.now, player.playing && byId("speed").value >= 1 ? 1 : 2);
+  byId("clock").textContent = fixed(player.now, !begun || (player.playing && byId("speed").value >= 1) ? 1 : 2);
   byId("hits").textContent = game.hits;
   byId("rest").hidden = !game.resting;
   byId("torque").textContent = `${fixed(100 * torque, 0)} %`;
@@ -210,7 +210,8 @@ function release(by) {
 }
 
 document.addEventListener("keydown", (event) => {
-  const busy = event.target.matches("select, input") || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
+  const chooses = event.target.matches("select") || (event.target.matches("input") && event.key in SIDES);
+  const busy = chooses || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
   if (busy || (event.key === " " && event.target.matches("button"))) return;
   const key = event.key.toLowerCase();
   if (!(event.key in SIDES) && !"acgr ".includes(key)) return;

@@ -279,6 +279,7 @@ def test_the_plots_of_a_question_are_on_the_screen_and_read_under_the_pointer(op
         seen = [float(text.split("jack ")[1].split()[0]) for text in (height, velocity)]
         assert seen[0] == pytest.approx(simulator.state[4], abs=1e-2)
         assert abs(seen[1]) == pytest.approx(abs(simulator.state[10]), abs=0.3)  # an impact turns it around
+    opened.page.locator("#sliders input").first.focus()  # which has the arrow keys alone
     opened.page.keyboard.press("r")  # starts the scene at once
     wait_for(opened.page, "clock", r"^[1-5]\.")
 
