@@ -75,7 +75,8 @@ function openStep(share) {
       row.set(preview.after, 1);
       row[0] = game.time + since;
       row[COLUMN.torque] = (preview.number("MEAN_TORQUE") * since - impulse) / (since - last);
-      row[COLUMN.energy] = preview.number("ENERGY") - game.energy;
+      const gained = preview.number("ENERGY") - game.energy;
+      row[COLUMN.energy] = Math.abs(gained) < 1e-12 * data.knock * data.speedScale ? 0 : gained; // else it is rounding
       row[COLUMN.work] += row[COLUMN.torque] * (row[COLUMN.theta_box] - at(COUNT - 1, COLUMN.theta_box));
       [last, impulse, COUNT] = [since, preview.number("MEAN_TORQUE") * since, rows.push(row)];
     }

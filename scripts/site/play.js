@@ -9,6 +9,7 @@ const pressed = new Map(); // keys and touches that turn the box: to which side,
 const best = {}; // returns of this visit, by task
 const player = { playing: false, agent: false, chirp: false, ghost: null, now: 0, push: 0, since: 0, drawn: null, read: -READ };
 
+const inQuestion = () => !byId("question").hidden;
 const say = (text) => (byId("message").textContent = text);
 const randomWords = () => Array.from(crypto.getRandomValues(new BigUint64Array(4)), (word, k) => String(k < 3 ? word : word | 1n));
 const changed = () => Object.keys(game.fields).length > 0;
@@ -16,7 +17,7 @@ const changed = () => Object.keys(game.fields).length > 0;
 function restart(task, fields, dt, start, recorded = null, shared = true) {
   begin(task, fields, dt, start, recorded, player.ghost);
   game.assisted = shared;
-  Object.assign(player, { playing: Boolean(recorded) || player.agent || player.chirp, now: 0, push: 0 });
+  Object.assign(player, { playing: Boolean(recorded) || player.agent || player.chirp || inQuestion(), now: 0, push: 0 });
   byId("task").value = task;
   byId("goal").textContent = data.tasks[task].goal;
   for (const [name, field] of Object.entries(data.fields)) field.show(fields[name] ?? data.values[field.index]);
@@ -60,7 +61,7 @@ function advance(seconds) {
     if (performance.now() > late) player.now = Math.min(player.now, game.time + 0.999 * game.dt);
     if (player.now < game.time + game.dt) return;
     closeStep();
-    if (game.shares.length === SCORED && !game.recorded) endEpisode();
+    if (game.shares.length === SCORED && !game.recorded && !inQuestion()) endEpisode();
   }
   Object.assign(player, { now: game.time, playing: false });
   if (game.lost) say("The jack moves too fast to be followed. Press R to start again.");
@@ -114,16 +115,41 @@ const times = make("canvas");
 for (const panel of panels) byId("plots").append(legendOf(panel), (panel.canvas = make("canvas")));
 byId("plots").append(times);
 
+// The row that the plots show in numbers: under the pointer, at a tenth of a second, so that two pages can be compared, or
+// at an impact close by, unless it is on the heights, which no impact changes; else the last.
+let pointer = null; // the event
+for (const kind of ["pointerdown", "pointermove"]) byId("plots").addEventListener(kind, (event) => (pointer = event));
+byId("plots").addEventListener("pointerleave", () => (pointer = null));
+
+function pointedRow() {
+  if (pointer === null) return rows[COUNT - 1];
+  const { left, width } = times.getBoundingClientRect();
+  const pixel = LASTS / (width - LEFT - RIGHT); // [s]
+  const under = START + pixel * (pointer.clientX - left - LEFT);
+  const near = (hit) => pointer.target !== panels[2].canvas && Math.abs(hit.time - under) < 2 * pixel;
+  const time = impacts.find(near)?.time ?? Math.round(10 * under) / 10;
+  return rows[rowAt(Math.max(at(0, 0), time + 1e-9))]; // a step's end is not exactly a tenth
+}
+
 function drawPlots() {
+  const row = pointedRow();
   for (const panel of panels) {
     const { pen, width, height } = sharpen(panel.canvas);
     const y = drawFrame(pen, width, height, rangeOf(panel));
     const x = (time) => LEFT + ((width - LEFT - RIGHT) * (time - START)) / LASTS;
     drawImpacts(pen, x, height);
     for (const one of panel.series) drawSeries(pen, one, x, y);
-    panel.outputs.forEach((output, number) => (output.textContent = general(panel.series[number].now(rows[COUNT - 1]), 4)));
+    panel.outputs.forEach((output, number) => (output.textContent = general(panel.series[number].now(row), 4)));
+    pen.fillStyle = colours.ink;
+    if (pointer !== null) pen.fillRect(x(row[0]), 0, 1, height);
   }
   drawTimes(times);
+  if (pointer === null) return;
+  const [pen, place] = [times.getContext("2d"), LEFT + ((times.clientWidth - LEFT - RIGHT) * (row[0] - START)) / LASTS];
+  pen.clearRect(place - 30, 0, 60, 20);
+  pen.fillStyle = colours.ink;
+  pen.textAlign = "center";
+  pen.fillText(`${fixed(row[0], 2)} s`, Math.min(times.clientWidth - 20, place), 4);
 }
 
 function show(moment) {
@@ -133,12 +159,12 @@ function show(moment) {
   if (moment - player.read < READ) return;
   player.read = moment;
   const begun = game.shares.length > 0 || game.open;
-  byId("clock").textContent = fixed(player.now, 1);
+  byId("clock").textContent = fixed(player.now, !begun || (player.playing && byId("speed").value >= 1) ? 1 : 2);
   byId("hits").textContent = game.hits;
   byId("rest").hidden = !game.resting;
   byId("torque").textContent = `${fixed(100 * torque, 0)} %`;
   [game, game.ghost].forEach((one, row) => one && (byId("returns").rows[row].lastChild.textContent = fixed(one.scored, 1)));
-  const over = player.playing && game.shares.length >= SCORED && game.shares.length < SCORED + 150;
+  const over = player.playing && !inQuestion() && game.shares.length >= SCORED && game.shares.length < SCORED + 150;
   byId("hint").hidden = !over && (player.playing || game.lost);
   byId("hint").firstChild.textContent = over ? `Return ${fixed(game.scored, 1)}` : begun ? "Paused" : START_HINT;
   const on = { a: player.agent, c: player.chirp, g: Boolean(player.ghost), " ": Boolean(begun) && !player.playing, r: false };
@@ -184,7 +210,8 @@ function release(by) {
 }
 
 document.addEventListener("keydown", (event) => {
-  const busy = event.target.matches("select, input") || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
+  const chooses = event.target.matches("select") || (event.target.matches("input") && event.key in SIDES);
+  const busy = chooses || byId("sharing").open || event.ctrlKey || event.metaKey || event.altKey;
   if (busy || (event.key === " " && event.target.matches("button"))) return;
   const key = event.key.toLowerCase();
   if (!(event.key in SIDES) && !"acgr ".includes(key)) return;
@@ -199,8 +226,7 @@ byId("stage").addEventListener("pointerdown", (event) => {
   if (event.button !== 0) return;
   const { left, width } = byId("stage").getBoundingClientRect();
   byId("stage").setPointerCapture(event.pointerId);
-  const scene = !byId("question").hidden; // of a question: a press only starts and pauses it
-  if (scene || !player.playing) player.playing = !player.playing;
+  if (inQuestion() || !player.playing) player.playing = !player.playing; // of a question: a press turns nothing
   else turn(event.pointerId, event.clientX < left + width / 2 ? 1 : -1);
 });
 for (const end of ["pointerup", "pointercancel"]) byId("stage").addEventListener(end, (event) => release(event.pointerId));
@@ -238,6 +264,7 @@ for (const [name, field] of Object.entries(data.fields)) {
 function open(text, against = false, asked = false) {
   try {
     const read = readGame(text);
+    must(!against || read[4], "it has no steps to play against");
     if (!asked) showQuestion(0);
     player.ghost = against && read[4];
     if (against) read[4] = null;
@@ -316,7 +343,7 @@ const redraw = () => {
 };
 const asked = new URLSearchParams(location.search).get("scene");
 if (data.lesson[asked - 1]) ask(Number(asked));
-else if (asked !== null) say(`scene must be from 1 to ${data.lesson.length}, got ${asked}`);
+else if (asked !== null) say(`scene must be from 1 to ${data.lesson.length}, got ${asked || "nothing"}`);
 openLink();
 addEventListener("hashchange", openLink);
 new ResizeObserver(() => requestAnimationFrame(redraw)).observe(byId("stage"));

@@ -252,6 +252,38 @@ def test_the_box_is_large_and_the_hint_beside_it(lesson: Any) -> None:
     assert hint["y"] > stage["y"] + 0.5 * (stage["height"] + side)
 
 
+def test_the_plots_of_a_question_are_on_the_screen_and_read_under_the_pointer(opened: Page) -> None:
+    opened.page.set_viewport_size({"width": 1366, "height": 768})
+    opened.page.select_option("#speed", "4")
+    opened.page.select_option("#lesson", "1")
+    wait_for(opened.page, "clock", "^1[0-9]")
+    opened.page.keyboard.press("Space")
+    assert opened.message == ""  # a question is no episode with a return
+    assert opened.page.locator("#returns").is_hidden()
+    plots = opened.page.locator("#plots")
+    box = plots.bounding_box()
+    assert box["y"] + box["height"] < 768
+    second = (box["width"] - 52) / 10.0  # of the axis, in pixels: the plots have margins of 46 and 6
+    begin = wait_for(opened.page, "clock", r"\.[0-9]{2}$") - 10.0  # a paused clock has hundredths
+    simulator = make_simulator({"drive": None}, contact="exact")
+    simulator.reset(REST)
+    middles = [plots.locator("canvas").nth(panel).bounding_box()["y"] + 40 for panel in (2, 3)]
+    for time, plot in ((6.0, 0), (7.0675, 1), (7.1, 0)):  # an impact, and a tenth beside it
+        simulator.step(time - simulator.time)
+        opened.page.mouse.move(box["x"] + 46 + second * (time - begin), middles[plot])
+        opened.page.wait_for_timeout(150)
+        energy, _, height, velocity, _ = (
+            text.replace("\u2212", "-") for text in plots.locator(".legend").all_inner_texts()
+        )
+        assert "gained 0.000" in energy  # without its rounding
+        seen = [float(text.split("jack ")[1].split()[0]) for text in (height, velocity)]
+        assert seen[0] == pytest.approx(simulator.state[4], abs=1e-2)
+        assert abs(seen[1]) == pytest.approx(abs(simulator.state[10]), abs=0.3)  # an impact turns it around
+    opened.page.locator("#sliders input").first.focus()  # which has the arrow keys alone
+    opened.page.keyboard.press("r")  # starts the scene at once
+    wait_for(opened.page, "clock", r"^[1-5]\.")
+
+
 def test_a_resting_foot_is_no_bounce(opened: Page) -> None:
     opened.page.select_option("#speed", "4")
     opened.page.select_option("#lesson", "2")
@@ -270,7 +302,8 @@ def test_a_resting_foot_is_no_bounce(opened: Page) -> None:
 
 
 def test_an_address_may_name_a_question(browser: Any) -> None:
-    for query, message in (("?scene=7", ""), ("?scene=ten", "scene must be from 1 to 9, got ten")):
+    refused = "scene must be from 1 to 9, got"
+    for query, message in (("?scene=7", ""), ("?scene=ten", f"{refused} ten"), ("?scene=", f"{refused} nothing")):
         opened = Page(browser, ensure_page(), query)
         opened.page.wait_for_timeout(200)
         assert opened.message == message
@@ -287,18 +320,24 @@ def test_the_ghost_is_the_agent_or_a_shared_game(opened: Page) -> None:
     opened.page.select_option("#speed", "4")
     for key in "ga":
         opened.page.keyboard.press(key)
-    wait_for(opened.page, "clock", "^[4-9]")  # after an impact
+    while opened.time < 4.0:  # after an impact
+        opened.page.wait_for_timeout(50)
     text = opened.text
     mine, ghost = returns()
     assert mine == ghost
     assert float(ghost) > 0.0
     opened.page.keyboard.press("a")
     opened.page.click("#share")
+    opened.page.locator("#text").fill(write_game(None, REST))
+    opened.page.click("text=Play against it")
+    opened.wait_for("it has no steps to play against")
+    opened.page.click("#share")
     opened.page.locator("#text").fill(text)
     opened.page.click("text=Play against it")
     for key in ("r", "Space"):
         opened.page.keyboard.press(key)
-    wait_for(opened.page, "clock", "^[89]")  # its game is over
+    while opened.time < 0.02 * len(read_game(text).shares) + 0.2:  # its game is over
+        opened.page.wait_for_timeout(50)
     assert returns()[1] == ghost
     assert returns()[0] != ghost
     assert read_game(opened.text).start.tolist() == read_game(text).start.tolist()
