@@ -14,7 +14,6 @@ from scripts.studies.accuracy import answers, engines
 from scripts.studies.accuracy import measured as these
 from scripts.studies.accuracy.measured import (
     ALL,
-    BATCH,
     COST,
     DEFAULT,
     DT,
@@ -173,9 +172,7 @@ def fidelity_table(results: Results) -> str:
 def _words(results: Results) -> dict[str, Any]:
     single = pymunk(4, 1).name
     wrong, lost = results.some(THRESHOLD, "imbalance", "escaped")
-    alone, batch = results.of(EXACT, "cost").median, results.of(BATCH, "cost").median
     return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
-        "many": _times(alone / batch / results.of(EXACT, "cost_over_default").median),
         "within": _within(results),
         "threshold_energy": figure(wrong.median),
         "threshold_lost": f"{lost.total:g} of {lost.n}",
@@ -197,7 +194,6 @@ def _of_setting(results: Results, setting: str) -> dict[str, str]:
         "late": f"{1e3 * first.median:.2g}",
         "worst_s": figure(first.worst),
         "slower": _times(cost.median),
-        "faster": _times(1.0 / cost.median),
     }
 
 

@@ -121,13 +121,10 @@ def filled(results: study.Record) -> dict[str, Any]:
         for part, of in results.items()
         if part in RATIOS
     }
-    over = {what: rounded(statistics.median(values)) for what, values in all_ratios(together).items()}
-    peers = {"Gymnasium's own": "Gymnasium's own batch of CartPole-v1", "EnvPool's": "EnvPool's"}
-    known = {f"batch over {whose} CartPole-v1": words for whose, words in peers.items()}
     return {
         "one": {name: rates["alone"][of] for name, of in ONE.items()},
         "batch": rates["together"][these.BATCH],
-        "over": " and ".join(f"{over[what]} times as many as {words}" for what, words in known.items() if what in over),
+        "over": over_cart_pole(together),
         "start": {name: rounded(statistics.median(results["start"][name])) for name in ("cold", "warm")},
         "tables": {part: _section(results[part]) for part in rates},
         "lost": together["lost"],
@@ -137,9 +134,12 @@ def filled(results: study.Record) -> dict[str, Any]:
 
 def for_the_readme(results: study.Record) -> str:
     """The README's sentence on speed."""
-    rates = results["together"]["rates"]
-    batch, cart_pole = (rounded(statistics.median(rates[name])) for name in (these.BATCH, these.POLES))
-    return f"a batch of 1,024 makes [{batch} control steps a second](docs/speed.md), Gymnasium's CartPole {cart_pole}"
+    return f"a batch of 1,024 makes [{over_cart_pole(results['together'])} times as many steps](docs/speed.md) as Gymnasium's CartPole"
+
+
+def over_cart_pole(together: Mapping[str, Any]) -> str:
+    """Steps of the batch over those of Gymnasium's own batch of CartPole-v1."""
+    return rounded(statistics.median(together["ratios"]["batch over Gymnasium's own CartPole-v1"]))
 
 
 STUDY = study.Study(
