@@ -93,13 +93,12 @@ class Canvas:
     def __init__(self, size: tuple[int, int] = (SIZE, SIZE)) -> None:
         self.pygame = import_pygame()
         self.surface: pygame.Surface = self.pygame.Surface(size, 0, 32)
+        self._packed: pygame.Surface = self.pygame.Surface(size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # bytes r, g, b
 
     def pixels(self) -> NDArray[np.uint8]:
         """Return the frame as a fresh array, shape (height, width, 3)."""
-        colours = self.pygame.surfarray.pixels3d(self.surface)  # (width, height, 3)
-        frame = np.empty((colours.shape[1], colours.shape[0], 3), dtype=np.uint8)
-        for colour in range(3):  # one by one is three times as fast
-            frame[..., colour] = colours[..., colour].T
+        self._packed.blit(self.surface, (0, 0))  # faster than a copy of each colour by numpy
+        frame: NDArray[np.uint8] = self.pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
         return frame
 
     def fill(self, colour: Colour) -> None:
