@@ -182,7 +182,7 @@ def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
         if (row["task"], row["policy"], row["contact"]) == ("rattle", "planner", "pymunk")
     )
     wanted["../README"] = [
-        f"`exact` gets\n{right['exact']} right, Box2D {right['box2d, 64 substeps']}.",
+        f"`exact` finds {right['exact']}, Box2D {right['box2d, 64 substeps']}.",
         f"A planner earns {earned['rattle', 'planner']:.0f} on rattle by `exact`, {by_pymunk:.0f} by pymunk",
     ]
     for name, sentences in wanted.items():

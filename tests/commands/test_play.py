@@ -39,11 +39,11 @@ class Page(Opened):
         self.page.keyboard.press("Escape")
         return str(text)
 
-    def play(self, text: str) -> None:
+    def play(self, text: str, button: str = "Play the text above") -> None:
         """Paste a text and play it."""
         self.page.click("#share")
         self.page.locator("#text").fill(text)
-        self.page.click("text=Play the text above")
+        self.page.click(f"text={button}")
         self.page.locator("#sharing").wait_for(state="hidden")
         self.page.wait_for_timeout(100)  # the dialog's event comes a moment later
 
@@ -327,13 +327,9 @@ def test_the_ghost_is_the_agent_or_a_shared_game(opened: Page) -> None:
     assert mine == ghost
     assert float(ghost) > 0.0
     opened.page.keyboard.press("a")
-    opened.page.click("#share")
-    opened.page.locator("#text").fill(write_game(None, REST))
-    opened.page.click("text=Play against it")
+    opened.play(write_game(None, REST), "Play against it")
     opened.wait_for("it has no steps to play against")
-    opened.page.click("#share")
-    opened.page.locator("#text").fill(text)
-    opened.page.click("text=Play against it")
+    opened.play(text, "Play against it")
     for key in ("r", "Space"):
         opened.page.keyboard.press(key)
     while opened.time < 0.02 * len(read_game(text).shares) + 0.2:  # its game is over
