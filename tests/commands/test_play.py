@@ -191,7 +191,7 @@ def test_a_link_opens_its_scene(browser: Any) -> None:
 # -- the lesson -------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["file", "lesson.md", "index.md"])
+@pytest.fixture
 def lesson(request: pytest.FixtureRequest, browser: Any, tmp_path: Path) -> Iterator[Any]:
     """The page as one file, and in the frames of the site, as wide as its text."""
     if request.param == "file":
@@ -217,6 +217,7 @@ def wait_for(frame: Any, name: str, pattern: str) -> float:
     return float(output.inner_text().removesuffix(" %"))
 
 
+@pytest.mark.parametrize("lesson", ["file", "lesson.md"], indirect=True)
 def test_a_question_starts_its_scene_and_gives_it_the_keys(lesson: Any) -> None:
     lesson.focus("#lesson")  # as a click does
     lesson.select_option("#lesson", "1")
@@ -245,6 +246,7 @@ def test_a_question_starts_its_scene_and_gives_it_the_keys(lesson: Any) -> None:
     lesson.locator("#question").wait_for(state="hidden")  # a pasted game is no scene of it
 
 
+@pytest.mark.parametrize("lesson", ["file", "index.md"], indirect=True)
 def test_the_box_is_large_and_the_hint_beside_it(lesson: Any) -> None:
     stage, hint = (lesson.locator(name).bounding_box() for name in ("#stage", "#hint span"))
     side = stage["height"] / (math.sqrt(2.0) * 1.09)  # of the level box, which fits at any angle
