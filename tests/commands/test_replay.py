@@ -198,8 +198,12 @@ def test_ctrl_c_ends_a_replay_at_the_next_step(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(ExactSimulator, "stepped", interrupted)
     monkeypatch.setattr(sys, "argv", ["jackbox replay", text()])
-    with pytest.raises(SystemExit) as ended:
-        replay.main()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        with pytest.raises(SystemExit) as ended:
+            replay.main()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert (ended.value.code, len(calls)) == (130, 3)
 
 
