@@ -53,8 +53,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     `restitution` is below 1. A lift carries the box's weight; nothing carries the jack's. So the jack falls and
     bounces, and each bounce pushes the box down a little. The agent applies a torque to the box.
 
-    The law is in `jackbox_env.mechanics`. Each file of `jackbox_env.simulators` says how closely its contact model
-    follows it.
+    The law is in `jackbox_env.mechanics`; how closely a contact model follows it is at the head of its file in
+    `jackbox_env.simulators`.
 
     ## Action Space
 
