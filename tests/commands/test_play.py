@@ -90,7 +90,8 @@ def test_a_game_of_2000_steps_is_replayed_to_the_last_bit(opened: Page) -> None:
 def test_a_text_of_the_package_plays_and_ends_with_a_verdict(opened: Page) -> None:
     opened.page.select_option("#speed", "4")
     shares = [None] * 50 + [0.3] * 100 + [k / 1e3 for k in range(50)]
-    text = write_game(Scene(restitution=0.8, jack_mass=2.0), REST, shares, "spin")
+    scene = Scene(restitution=0.8, jack_mass=2.0, box_mass=40.0, torque_limit=9000.0)
+    text = write_game(scene, REST, shares, "spin")
     opened.play(text)
     opened.wait_for("after 200 steps: the same, bit for bit")
     assert json.loads(opened.text) == json.loads(text)
