@@ -72,10 +72,10 @@ class Planner:
         }  # fmt: skip
         if value is not None and not isinstance(value, Value):
             raise TypeError(f"value must be a Value or None, got {check.shown(value)}")
-        self._search = (
+        self.search = (
             ValuedSearch(value, task, control_dt, **settings) if value else Search(task, control_dt, **settings)
         )
-        self.repeat = self._search.repeat
+        self.repeat = self.search.repeat
 
     def predict(
         self, observation: Any, state: Plans | None = None, episode_start: Any = None, deterministic: bool = True
@@ -87,16 +87,16 @@ class Planner:
         """
         rows = as_rows(observation, len(BOUNDS))
         count = len(rows)
-        plans = self._search.begin(count) if state is None else state
+        plans = self.search.begin(count) if state is None else state
         if len(plans.means) != count:
             raise ValueError(f"state must be that of {count} environments, as observation is, got {len(plans.means)}")
         starts = np.asarray(False if episode_start is None else episode_start, dtype=np.bool_)
         if starts.shape not in ((), (1,), (count,)):
             raise ValueError(f"episode_start must have shape ({count},), as there are observations, got {starts.shape}")
         new = np.flatnonzero(np.broadcast_to(starts, count))
-        plans = plans.replaced(new, self._search.begin(len(new)))
+        plans = plans.replaced(new, self.search.begin(len(new)))
         states = np.array([state_of(self._scene, row) for row in rows.tolist()])
-        best, plans = self._search.decide(self._scene, states, plans)
+        best, plans = self.search.decide(self._scene, states, plans)
         actions = torques(best.plans[:, 0])
         return actions if np.ndim(observation) == 2 else actions[0], plans
 

@@ -43,7 +43,7 @@ def test_mirrored_states_go_mirrored_ways() -> None:
 
 
 def test_a_plan_earns_what_the_environment_pays() -> None:
-    search = Planner(Scene(), "spin", **SMALL)._search
+    search = Planner(Scene(), "spin", **SMALL).search
     env = gym.make("JackInBox-v0", contact="exact", task="spin")
     start = env.reset(seed=3)[1]["state"]
     plan = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, 16) * 64.0) / 64.0
@@ -108,10 +108,10 @@ def test_it_juggles_better_than_the_level_box(contact: str) -> None:
 def test_the_planner_by_its_name_has_the_settings_of_the_environment() -> None:
     settings = EnvSettings(task="spin", control_dt=0.05, scene='{"gravity": 3.0}')
     planner, fast = (cast(Planner, find_policy(name, settings, 7).policy) for name in ("planner", "planner-fast"))
-    search = planner._search
+    search = planner.search
     assert (planner._scene.gravity, search.repeat, search.seed, search.task.terms) == (3.0, 2, 7, ("spin",))
     assert Planner(Scene(drive=Drive(force_x=lambda t: t)))._scene.drive is None
-    assert fast._search.samples < search.samples
+    assert fast.search.samples < search.samples
 
 
 def test_a_custom_task_is_planned_for() -> None:

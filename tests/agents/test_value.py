@@ -63,7 +63,7 @@ def test_a_value_is_written_and_read(tmp_path: Path) -> None:
 def search_in(**settings: Any) -> Search:
     """The search of the planner that the registry makes for an environment."""
     policy: Any = find_policy("planner", EnvSettings(**settings), 0).policy
-    search: Search = policy._search
+    search: Search = policy.search
     return search
 
 

@@ -1,0 +1,202 @@
+"""Write docs/learners.md: what the fidelity of training does to a trained agent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap, trim_mean
+
+from jackbox_env.model.states import Array
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import replacing
+from scripts.studies import study
+from scripts.studies.learners import measured as these
+from scripts.studies.pages import label_ends, table
+
+FIDELITIES = ("exact", "coarse", "balanced", "fine")
+MARGIN = 0.05  # of the return above zero torque: what is called equal, chosen before the first training
+RESAMPLES = 2000
+EQUAL, WORSE, BETTER = "equal", "worse", "better"
+
+
+@dataclass(frozen=True)
+class Arguments(study.Arguments):
+    """Train PPO on each fidelity, and judge it on exact."""
+
+    runs: Path | None = Path("runs/learners")
+    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
+    seeds: int = 8
+    """Trainings on each task and fidelity; on fine, which only juggle has, three at most."""
+    episodes: int = 256
+    """Episodes of each evaluation."""
+    planner_episodes: int = 32
+    """Episodes of the planner by each contact model."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if an interval cannot be estimated from so few."""
+        check.whole("seeds", self.seeds, at_least=4)
+        for name in ("episodes", "planner_episodes"):
+            check.whole(name, getattr(self, name), at_least=4)
+
+
+def trials(arguments: Arguments) -> study.Trials:
+    """All trials of the page, the fast ones first."""
+    every: study.Trials = [
+        {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
+    ]
+    every += [
+        {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
+    ]
+    for fidelity, seed, task in product(FIDELITIES, range(arguments.seeds), these.DECISIONS):
+        if fidelity != "fine" or (task == "juggle" and seed < 3):
+            training = {"task": task, "fidelity": fidelity, "seed": seed, "episodes": arguments.episodes}
+            every.append({"part": "trained", "runs": str(arguments.runs), **training})
+    return every
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def interval(*samples: Array) -> tuple[float, float, float]:
+    """The interquartile mean of trainings, or how far the first lies above the second, with its 95 % interval.
+
+    The bootstrap draws trainings anew, of each sample as many as it has.
+    """
+
+    def statistic(*drawn: Array, axis: int = -1) -> Any:
+        means = [trim_mean(one, 0.25, axis=axis) for one in drawn]
+        return means[0] if len(means) == 1 else means[0] - means[1]
+
+    drawn = bootstrap(
+        samples, statistic, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return float(statistic(*samples)), float(drawn.low), float(drawn.high)
+
+
+def verdict(difference: tuple[float, float, float], margin: float, count: int) -> str:
+    """Equal, better or worse, if the interval decides it; else the number of trainings that would."""
+    middle, low, high = difference
+    if -margin <= low and high <= margin:
+        return EQUAL
+    if high < -margin:
+        return WORSE
+    if low > margin:
+        return BETTER
+    needed = count * (0.5 * (high - low) / max(abs(margin - abs(middle)), 1e-9)) ** 2
+    return f"undecided: about {max(count + 1, math.ceil(needed)):,} trainings would do"
+
+
+def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
+    """Of each task and fidelity what its trainings earn, and the verdict against exact."""
+    zero = {row["task"]: row["zero"] for row in record["untrained"]}
+    means: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in record["trained"]:
+        means.setdefault((row["task"], row["fidelity"]), []).append(row)
+    rows = {}
+    for (task, fidelity), some in means.items():
+        on = {judge: np.array([row["earned"][judge] for row in some]) for judge in these.JUDGES}
+        best = np.array([row["earned"]["exact"] for row in means[task, "exact"]])
+        above = float(trim_mean(best, 0.25)) - zero[task]
+        difference = interval(on["exact"], best)
+        rows[task, fidelity] = {
+            "earns": {judge: interval(values) for judge, values in on.items()},
+            "lowest": float(on["exact"].min()),
+            "share": [100.0 * part / above for part in difference],
+            "verdict": "" if fidelity == "exact" else verdict(difference, MARGIN * above, len(some)),
+            "seconds": float(np.mean([row["processor_seconds"] for row in some])),
+            "count": len(some),
+        }
+    return rows
+
+
+def filled(record: study.Record) -> dict[str, Any]:
+    """The numbers of docs/learners.md."""
+    rows, planned = compared(record), {row["model"]: row for row in record["planned"]}
+    return {
+        "verdict": sentence(rows),
+        "margin": 100.0 * MARGIN,
+        "seeds": max(row["count"] for row in rows.values()),
+        "decisions": these.DECISIONS,
+        "rows": table(
+            ("task", "trained on", "earns on exact", "lowest", "against exact", "verdict", "seconds"),
+            [
+                (task, fidelity, _range(row["earns"]["exact"]), f"{row['lowest']:.1f}", _against(row), row["verdict"],
+                 f"{row['seconds']:.0f}")
+                for (task, fidelity), row in rows.items()
+            ],
+        ),
+        "judged": table(
+            ("task", "trained on", *these.JUDGES),
+            [(task, name, *(_range(one) for one in row["earns"].values())) for (task, name), row in rows.items()],
+        ),
+        "planned": planned,
+        "curve_episodes": these.CURVE_EPISODES,
+        "resamples": RESAMPLES,
+        "commits": ", ".join(sorted({row["commit"] for row in record["trained"]})),
+        "machines": "; ".join(sorted({row["machine"] for row in record["trained"]})),
+    }  # fmt: skip
+
+
+def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
+    """The verdicts in one sentence for each kind."""
+    kinds: dict[str, list[str]] = {}
+    for (task, fidelity), row in rows.items():
+        if row["verdict"]:
+            kinds.setdefault(row["verdict"].partition(":")[0], []).append(f"{task} by `{fidelity}`")
+    return " ".join(f"{kind.capitalize()}: {', '.join(names)}." for kind, names in kinds.items())
+
+
+def _range(values: tuple[float, float, float]) -> str:
+    middle, low, high = values
+    return f"{middle:.1f} ({low:.1f} to {high:.1f})"
+
+
+def _against(row: dict[str, Any]) -> str:
+    return "" if not row["verdict"] else "{:+.1f} % ({:+.1f} to {:+.1f})".format(*row["share"])
+
+
+def draw(record: study.Record, folder: Path) -> None:
+    """Draw the return on exact against the seconds of training, a line for each fidelity."""
+    from matplotlib.figure import Figure
+
+    from jackbox_env.commands.plots import BOX, GREY, JACK
+
+    colours = dict(zip(FIDELITIES, (JACK, BOX, "#2e9e6b", GREY), strict=True))
+    figure = Figure(figsize=(5.2, 7.4), layout="constrained")
+    for axes, task in zip(figure.subplots(len(these.DECISIONS), 1), these.DECISIONS, strict=True):
+        ends = {}
+        for fidelity, style in zip(FIDELITIES, ("-", "--", "-.", ":"), strict=True):
+            some = [row for row in record["trained"] if (row["task"], row["fidelity"]) == (task, fidelity)]
+            if not some:
+                continue
+            seconds = np.mean([row["seconds"] for row in some], axis=0)
+            middle, low, high = np.transpose(
+                [interval(np.array(of)) for of in zip(*(row["curve"] for row in some), strict=True)]
+            )
+            axes.plot(seconds, middle, style, color=colours[fidelity], marker="o", markersize=3.5)
+            axes.fill_between(seconds, low, high, color=colours[fidelity], alpha=0.2, linewidth=0)
+            ends[fidelity] = (seconds[-1], middle[-1])
+        axes.set_xscale("log")
+        axes.set_title(f"{task}: return on exact", loc="left", fontsize="medium")
+        label_ends(axes, ends, apart=0.12)
+    axes.set_xlabel("processor seconds of training")
+    with replacing(folder / "learners.png") as partial_file:
+        figure.savefig(partial_file, dpi=150)
+
+
+STUDY = study.Study(
+    "learners",
+    {"untrained": these.untrained, "planned": these.planned, "trained": these.trained},
+    filled,
+    Arguments,
+    trials,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    study.main(STUDY, __doc__)
