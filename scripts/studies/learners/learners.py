@@ -45,17 +45,18 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page, the fast ones first."""
+    """All trials of the page, seed by seed, so that an interrupted run has as many of each fidelity."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
-    for fidelity, seed, task in product(FIDELITIES, range(arguments.seeds), these.DECISIONS):
-        if fidelity != "fine" or (task == "juggle" and seed < 3):
-            training = {"task": task, "fidelity": fidelity, "seed": seed, "episodes": arguments.episodes}
-            every.append({"part": "trained", "runs": str(arguments.runs), **training})
+    for seed, task in product(range(arguments.seeds), these.DECISIONS):
+        for fidelity in FIDELITIES:
+            if fidelity != "fine" or (task == "juggle" and seed < 3):
+                training = {"task": task, "fidelity": fidelity, "seed": seed, "episodes": arguments.episodes}
+                every.append({"part": "trained", "runs": str(arguments.runs), **training})
     return every
 
 
