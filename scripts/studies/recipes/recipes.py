@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.runs import machine, versions
 from agents.sweep import ONE_THREAD
 from jackbox_env.model.tasks import TASKS
 from scripts.recipes.run import HERE
@@ -57,42 +56,34 @@ def trained(recipe: str, arguments: list[str]) -> dict[str, Any]:
     actions, mean, interval = found.groups()
     return {
         "recipe": recipe, "arguments": arguments, "actions": actions, "mean": float(mean),
-        "interval_95": float(interval) if interval else None,
+        "half_width_95": float(interval) if interval else None,
         "seconds": after.children_user + after.children_system - before.children_user - before.children_system,
-        "commit": versions()["commit"], "machine": machine(),
     }  # fmt: skip
 
 
 def filled(record: study.Record) -> dict[str, Any]:
-    """The numbers of docs/recipes.md."""
-    stored = [row for row in RESULTS.read(DOCS)["rows"] if (row["policy"], row["contact"]) == ("zero", "exact")]
-    zero = {row["task"]: row for row in stored}
-    lines = [["no torque", "", *(_cell(zero[task]["mean"], _half(zero[task])) for task in TASKS), ""]]
-    for name, (recipe, *first) in PLAIN.items():
-        rows = [_row(record["plain"], recipe, [*first, "--task", task]) for task in TASKS]
-        cells = [_cell(row["mean"], row["interval_95"]) for row in rows]
-        lines.append([name, rows[0]["actions"], *cells, f"{sum(row['seconds'] for row in rows) / len(rows):.0f}"])
-    others = {name: _row(record["others"], name, []) for name in OTHERS}
-    rows = [*record["plain"], *record["others"]]
-    return {
-        "plain": table(("algorithm", "actions", *TASKS, "seconds"), lines),
-        **{name: f"{row['seconds']:.0f} s, to a return of {row['mean']:.0f}" for name, row in others.items()},
-        "commits": ", ".join(sorted({row["commit"] for row in rows})),
-        "machines": "; ".join(sorted({row["machine"] for row in rows})),
-    }
+    """The numbers of docs/recipes.md; those of zero torque are of docs/results.json."""
+    rows = {(row["recipe"], *row["arguments"]): row for row in (*record["plain"], *record["others"])}
+    lines = [["no torque", "", *map(zero, TASKS), ""]]
+    for name, recipe in PLAIN.items():
+        on = [rows[*recipe, "--task", task] for task in TASKS]
+        cells = [_cell(row["mean"], row["half_width_95"]) for row in on]
+        lines.append([name, on[0]["actions"], *cells, f"{sum(row['seconds'] for row in on) / len(on):.0f}"])
+    single = {"cleanrl": rows["cleanrl", "--task", "juggle"]} | {name: rows[(name,)] for name in OTHERS}
+    sentences = {name: f"{row['seconds']:.0f} s, to a return of {row['mean']:.0f}" for name, row in single.items()}
+    return {"plain": table(("algorithm", "actions", *TASKS, "seconds"), lines), **sentences}
 
 
-def _row(rows: list[dict[str, Any]], recipe: str, arguments: list[str]) -> dict[str, Any]:
-    return next(row for row in rows if (row["recipe"], row["arguments"]) == (recipe, arguments))
-
-
-def _half(row: dict[str, Any]) -> float:
+def zero(task: str) -> str:
+    """What zero torque earns on a task."""
+    stored = RESULTS.read(DOCS)["rows"]
+    row = next(row for row in stored if (row["task"], row["policy"], row["contact"]) == (task, "zero", "exact"))
     low, high = row["interval_95"]
-    return float(high - low) / 2.0
+    return _cell(row["mean"], (high - low) / 2.0)
 
 
-def _cell(mean: float, half: float) -> str:
-    return f"{mean:.1f} ± {half:.1f}"
+def _cell(mean: float, half_width: float) -> str:
+    return f"{mean:.1f} ± {half_width:.1f}"
 
 
 STUDY = study.Study("recipes", {"plain": trained, "others": trained}, filled, Arguments, trials)
