@@ -55,7 +55,8 @@ def trained(recipe: str, arguments: list[str]) -> dict[str, Any]:
     after = os.times()
     actions, mean, interval = found.groups()
     return {
-        "recipe": recipe, "arguments": arguments, "actions": actions, "mean": float(mean),
+        "recipe": recipe, "arguments": arguments, "actions": int(actions.replace(",", "")) if actions else None,
+        "mean": float(mean),
         "half_width_95": float(interval) if interval else None,
         "seconds": after.children_user + after.children_system - before.children_user - before.children_system,
     }  # fmt: skip
@@ -68,7 +69,7 @@ def filled(record: study.Record) -> dict[str, Any]:
     for name, recipe in PLAIN.items():
         on = [rows[*recipe, "--task", task] for task in TASKS]
         cells = [_cell(row["mean"], row["half_width_95"]) for row in on]
-        lines.append([name, on[0]["actions"], *cells, f"{sum(row['seconds'] for row in on) / len(on):.0f}"])
+        lines.append([name, f"{on[0]['actions']:,}", *cells, f"{sum(row['seconds'] for row in on) / len(on):.0f}"])
     single = {"cleanrl": rows["cleanrl", "--task", "juggle"]} | {name: rows[(name,)] for name in OTHERS}
     sentences = {name: f"{row['seconds']:.0f} s, to a return of {row['mean']:.0f}" for name, row in single.items()}
     return {"plain": table(("algorithm", "actions", *TASKS, "seconds"), lines), **sentences}
