@@ -49,11 +49,11 @@ def trained(recipe: str, arguments: list[str]) -> dict[str, Any]:
     before = os.times()
     command = [sys.executable, str(HERE / f"with_{recipe}.py"), *arguments]
     done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
-    found = re.search(r"^(?:after ([\d,]+) actions: )?return (-?[\d.]+)(?: \+- ([\d.]+))?", done.stdout, re.MULTILINE)
-    if done.returncode or found is None:
+    printed = re.search(r"^(?:after ([\d,]+) actions: )?return (-?[\d.]+)(?: \+- ([\d.]+))?", done.stdout, re.MULTILINE)
+    if done.returncode or printed is None:
         raise RuntimeError(f"the recipe {recipe} failed: {done.stderr[-500:]}")
     after = os.times()
-    actions, mean, interval = found.groups()
+    actions, mean, interval = printed.groups()
     return {
         "recipe": recipe, "arguments": arguments, "actions": int(actions.replace(",", "")) if actions else None,
         "mean": float(mean),
