@@ -11,14 +11,15 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from jackbox_env.sb3 import make_sb3_vec_env
 
-ON_POLICY = {"n_steps": 64, "batch_size": 512, "learning_rate": 1e-3, "gae_lambda": 0.9}
+ON_POLICY = {"n_steps": 125, "batch_size": 1000, "learning_rate": 1e-3}  # 125 actions are an episode
 OFF_POLICY = {"learning_rate": 1e-3, "gradient_steps": 4, "learning_starts": 1000}
 SMALL = {"policy_kwargs": {"net_arch": [64, 64]}}
-MEMORY = {"n_epochs": 5, "policy_kwargs": {"lstm_hidden_size": 64}}
+RECURRENT = {"n_steps": 64, "batch_size": 512, "n_epochs": 5, "learning_rate": 1e-3, "gae_lambda": 0.9}
+MEMORY = {"policy_kwargs": {"lstm_hidden_size": 64}}
 Q_LEARNING = {"learning_rate": 1e-3, "train_freq": 1, "gradient_steps": 2, "target_update_interval": 400}
 ALGORITHMS: dict[str, Any] = {  # class, network, environments, actions to train for, settings
-    "PPO": (PPO, "MlpPolicy", 64, 800_000, ON_POLICY),
-    "RecurrentPPO": (RecurrentPPO, "MlpLstmPolicy", 64, 150_000, ON_POLICY | MEMORY),
+    "PPO": (PPO, "MlpPolicy", 64, 500_000, ON_POLICY),
+    "RecurrentPPO": (RecurrentPPO, "MlpLstmPolicy", 64, 150_000, RECURRENT | MEMORY),
     "SAC": (SAC, "MlpPolicy", 8, 20_000, OFF_POLICY | SMALL),
     "TQC": (TQC, "MlpPolicy", 8, 10_000, OFF_POLICY | SMALL),
     "DQN": (DQN, "MlpPolicy", 16, 300_000, Q_LEARNING),
