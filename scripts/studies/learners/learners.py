@@ -52,13 +52,13 @@ def trials(arguments: Arguments) -> study.Trials:
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
-    for fidelities, (task, seed) in product(
-        (FIDELITIES[:3], FIDELITIES[3:]), product(these.DECISIONS, range(arguments.seeds))
-    ):
-        for fidelity in fidelities:
-            if fidelity != "fine" or (task == "juggle" and seed < 3):
-                training = {"task": task, "fidelity": fidelity, "seed": seed, "episodes": arguments.episodes}
-                every.append({"part": "trained", "runs": str(arguments.runs), **training})
+    trainings = [
+        {"part": "trained", "runs": str(arguments.runs), "task": task, "fidelity": fidelity, "seed": seed}
+        for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
+        if fidelity != "fine" or (task == "juggle" and seed < 3)
+    ]
+    trainings.sort(key=lambda training: training["fidelity"] == "fine")
+    every += [{**training, "episodes": arguments.episodes} for training in trainings]
     return every
 
 
