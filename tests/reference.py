@@ -9,9 +9,9 @@ A motion that the proof leaves undecided raises UndecidedError: then the case mu
 from __future__ import annotations
 
 import json
-import re
 import math
 import random
+import re
 from collections.abc import Iterator, Sequence
 from decimal import Context, Decimal
 from fractions import Fraction

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import statistics
 from collections.abc import Mapping, Sequence
@@ -120,7 +119,6 @@ def filled(record: study.Record) -> dict[str, Any]:
     plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
     frame, function = (rounded(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
-    resting = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
     single = {what: costs for what, costs in on_top.items() if set(costs) != {BATCH}}
     small = [
         what
@@ -143,7 +141,6 @@ def filled(record: study.Record) -> dict[str, Any]:
         "impacts": impacts,
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
         "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
-        "held": f"{math.floor(min(resting))} to {math.ceil(max(resting))}",
         "loss": _loss_table(steps, results["loss"]["impacts"]),
     }
 
@@ -153,16 +150,12 @@ def _plain(results: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
-    """Times of steps of flight, of bounces with loss and of rest, also over the time of flight, within rounds."""
+    """Times of steps of flight, of bounces with loss and of rest."""
     rows = []
     for kind, times in loss.items():
-        rows.append([kind, figure(impacts[kind])])
-        for model in (EXACT, BATCH, DERIVED):
-            ratios = (one / other for one, other in zip(times[model], loss[these.FLIGHT][model], strict=True))
-            rows[-1] += [f"{figure(statistics.median(times[model]) / 1e3)} µs", figure(statistics.median(ratios))]
-    heads = ["a step of exact", "impacts in it"]
-    heads += [head for what in ("contact model alone", "in a batch", DERIVED) for head in (what, "of a flight")]
-    return table(heads, rows)
+        spent = (f"{figure(statistics.median(times[model]) / 1e3)} µs" for model in (EXACT, BATCH, DERIVED))
+        rows.append([kind, figure(impacts[kind]), *spent])
+    return table(("a step of exact", "impacts in it", "contact model alone", "in a batch", DERIVED), rows)
 
 
 STUDY = study.Study(
