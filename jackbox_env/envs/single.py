@@ -180,10 +180,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     ## Fidelity
 
-    `fidelity` sets how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4
-    and 64 substeps, `"exact"` is the exact model. docs/accuracy.md has the error and the speed of each. `contact` and
-    `substeps` select unnamed combinations; if they conflict with `fidelity`, they raise ValueError.
-    `jackbox_env.cheapest` measures which setting stays within given bounds in your own scene.
+    `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4 and 64 substeps, `"exact"` is the exact
+    model. docs/accuracy.md has the error and the speed of each. `contact` and `substeps` select unnamed combinations;
+    if they conflict with `fidelity`, they raise ValueError.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")
