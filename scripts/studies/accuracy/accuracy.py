@@ -127,6 +127,7 @@ COLUMNS = {
     },
     "long_run": {"impacts per s": "rate", "mean speed [m/s]": "speed", "mean impulse [N s]": "impulse"},
 }  # fmt: skip
+MEDIANS = "cost", "local"  # shown without their extremes
 
 
 def ranking(results: Results) -> list[str]:
@@ -235,7 +236,7 @@ def reference_table(results: Results) -> str:
             for quantity in ("prefix", "known", "first_1", "depth", "imbalance", "escaped", COST)
         )
         count = f"{correct.total:g} of {known.total:g}"
-        errors = _spread(first), figure(depth.worst), _spread(energy), f"{escaped.total:g}"
+        errors = _spread(first), figure(depth.worst), figure(energy.median), f"{escaped.total:g}"
         rows.append((name, count, *errors, figure(cost.median)))
     heads = "setting", "correct impacts", "first impact [s]", "penetration [m]", "energy", "lost"
     return table((*heads, "µs per simulated s"), rows)
@@ -250,8 +251,8 @@ def _cell(results: Results, name: str, quantity: str, runs: int) -> str:
     row = results.of(name, quantity)
     if (name == EXACT and quantity in ("local", "missed", "extra")) or not row.n:
         return "-"
-    if quantity == "cost" or math.isfinite(row.total):
-        return figure(row.median if quantity == "cost" else row.total)
+    if quantity in MEDIANS or math.isfinite(row.total):
+        return figure(row.median if quantity in MEDIANS else row.total)
     if math.isfinite(row.mean):
         return f"{row.mean:.3g} ± {row.half_width:.2g}"
     return _spread(row) + ("" if row.n == runs else f" ({row.n})")
