@@ -217,7 +217,7 @@ LINKS = re.compile(r'(!?)\[[^]]*\]\(([^)]*)\)|(?:src|href)="([^"]*)"')
 
 def absolute(page: str, folder: Path) -> str:
     """The page after the command."""
-    (command,) = re.findall(r"^sed .*$", (ROOT / "docs" / "releasing.md").read_text(), re.MULTILINE)
+    (command,) = re.findall(r"^sed (?:.*\\\n)*.*$", (ROOT / "docs" / "releasing.md").read_text(), re.MULTILINE)
     (folder / "README.md").write_text(page)
     subprocess.run(command.replace("ADDRESS", ADDRESS), shell=True, cwd=folder, check=True)
     return (folder / "README.md").read_text()
