@@ -58,7 +58,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     ## Action Space
 
-    `action` selects it, and `action_repeat` for how long an action lasts:
+    `action` selects it; `action_repeat` sets how long an action lasts:
 
     - `"torque"` (default): `Box(-1, 1, (1,))`, the torque on the box in units of `scene.torque_limit` (90000 N m),
       positive counter-clockwise. A plain number is accepted too.

@@ -85,7 +85,7 @@ def claims(results: Results) -> list[Claim]:
         ),
         Claim("exact: the first 5 impacts are right to 1e-10 s", _worst(fifth, "s"), fifth.worst <= 1e-10),
         Claim(
-            f"exact: the first {PREDICTABLE} impacts of each, or all it has, have the right wall and foot",
+            f"exact: the first {PREDICTABLE} impacts of each case, or all, have the right wall and foot",
             f"{lacking.worst:g} lacking, n = {lacking.n}",
             lacking.worst <= 0,
         ),
