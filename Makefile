@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results networks readme words docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -128,6 +128,10 @@ mutants: .venv/ready
 # Returns of every policy, docs/results.md. The planner takes most of its 15 minutes.
 results: .venv/ready
 	@$(BIN)/python scripts/studies/results/results.py
+
+# What the fidelity of training does to PPO, docs/learners.md: 75 trainings, about 8 hours of one core.
+learners: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python scripts/studies/learners/learners.py --workers 2 --runs runs/learners
 
 # Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 140 s of one core each.
 networks: .venv/ready

@@ -47,7 +47,7 @@ def test_four_first_tries_succeed_without_a_traceback(tmp_path: Path) -> None:
     assert re.search(r"^gravity +3\.7\d* ", jackbox("fit mars/states.csv --fields gravity"), re.MULTILINE)
 
     # The README's training saves a model, which is evaluated and filmed.
-    python("-c", blocks(ROOT / "README.md")[0].replace("learn(400_000,", "learn(20_000,"))
+    python("-c", blocks(ROOT / "README.md")[0].replace("learn(500_000,", "learn(20_000,"))
     (evaluate,) = re.findall(r"^jackbox (evaluate .*?)  #", (ROOT / "README.md").read_text(), re.MULTILINE)
     assert "juggler.zip" in jackbox(f"{evaluate} --episodes 2")
     assert (tmp_path / "juggler.gif").stat().st_size > 100_000

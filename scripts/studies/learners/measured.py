@@ -14,7 +14,6 @@ from agents.files import read_json
 from agents.policies.network import SHIPPED
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.registry import find_policy
-from agents.policies.value import ValuedSearch
 from agents.runs import TIME, machine, read_settings, versions
 from agents.settings import EnvSettings
 from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
@@ -67,19 +66,18 @@ def planned(model: str, episodes: int) -> dict[str, Any]:
     on = EnvSettings(task="rattle")
     planner = planner_for(on, Scene(), SEED, FAST_SEARCHES)
     if model == "pymunk":
-        assert isinstance(planner.search, ValuedSearch)
-        env = JackInBoxEnv(contact="pymunk", task="rattle", action_repeat=planner.repeat, max_episode_steps=None)
-        env.reset(seed=0)
-        planner.search.evaluate = partial(by_environment, env, planner.search.value.of)  # type: ignore[method-assign]
+        env = JackInBoxEnv(contact="pymunk", task="rattle", action_repeat=planner.repeat, episode_steps=1_000_000)
+        planner.search.evaluate = partial(by_environment, env)  # type: ignore[method-assign]
     row = evaluate(model, planner.in_env, on.env_settings, episodes, SEED)
     return {"model": model, "mean": row.mean, "interval_95": row.interval, "episodes": episodes}
 
 
-def by_environment(env: JackInBoxEnv, value: Any, scene: Scene, states: Array, plans: Array) -> tuple[Array, Array]:
-    """As :meth:`jackbox_env.planning.icem.Search.evaluate`, by an environment of the same scene, with a value."""
+def by_environment(env: JackInBoxEnv, scene: Scene, states: Array, plans: Array) -> tuple[Array, Array]:
+    """As :meth:`jackbox_env.planning.icem.Search.evaluate`, by an environment of that scene."""
+    env.reset(seed=0)
     returns, ends = np.zeros(plans.shape[:2]), np.zeros((*plans.shape[:2], 12))
     for row, number in np.ndindex(*returns.shape):
         env.set_state(states[row])
-        returns[row, number] = sum(float(env.step([torque])[1]) for torque in plans[row, number].tolist())
+        returns[row, number] = sum(float(env.step(torque)[1]) for torque in plans[row, number][:, None])
         ends[row, number] = env.state
-    return returns + np.array([value(of_jack) for of_jack in ends]).reshape(returns.shape), ends
+    return returns, ends
