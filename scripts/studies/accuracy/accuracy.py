@@ -217,8 +217,7 @@ def _within(results: Results) -> str:
 
 
 def _tables(results: Results) -> dict[str, str]:
-    rows_of_claims = ((claim.what, claim.measured + ": FAILS" * (not claim.holds)) for claim in claims(results))
-    tables = {"claims": table(("claim", "seen"), rows_of_claims), "reference": reference_table(results)}
+    tables = {"reference": reference_table(results)}
     for field, columns in COLUMNS.items():
         runs = results.of(DEFAULT, "depth").n
         shown = [name for name in ROWS[field] if (name, "", "cost") in results.rows]

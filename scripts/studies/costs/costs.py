@@ -110,7 +110,7 @@ def cell(values: Sequence[float] | None, plain: float) -> str:
         return "below noise"
     middle = statistics.median(values)
     share = middle / plain
-    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ns ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
+    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
 
 
 def filled(record: study.Record) -> dict[str, Any]:
@@ -134,13 +134,13 @@ def filled(record: study.Record) -> dict[str, Any]:
         "frame": frame,
         "function": function,
         "on_top": table(
-            ("on top of a plain step", *MODELS),
-            [["**a plain step**", *(f"**{figure(plain[model])} ns**" for model in MODELS)], *rows],
+            ("on top of a plain step [ns]", *MODELS),
+            [["**a plain step**", *(f"**{figure(plain[model])}**" for model in MODELS)], *rows],
         ),
         "small": "; ".join(small),
         "impacts": impacts,
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
-        "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
+        "in_batches": table(("on top of a plain step, in a batch only [ns]", BATCH), only),
         "loss": _loss_table(steps, results["loss"]["impacts"]),
     }
 
@@ -153,9 +153,9 @@ def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
     """Times of steps of flight, of bounces with loss and of rest."""
     rows = []
     for kind, times in loss.items():
-        spent = (f"{figure(statistics.median(times[model]) / 1e3)} µs" for model in (EXACT, BATCH, DERIVED))
+        spent = (figure(statistics.median(times[model]) / 1e3) for model in (EXACT, BATCH, DERIVED))
         rows.append([kind, figure(impacts[kind]), *spent])
-    return table(("a step of exact", "impacts in it", "contact model alone", "in a batch", DERIVED), rows)
+    return table(("a step of exact [µs]", "impacts in it", "contact model alone", "in a batch", DERIVED), rows)
 
 
 STUDY = study.Study(
