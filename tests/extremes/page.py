@@ -28,9 +28,8 @@ Errors without a unit, of momentum, energy and rates (the six velocities), are r
 Rates are compared with the impact map, or with the simultaneous law if several feet touch.
 
 `pymunk` applies an impact at the end of its substep, which is a quarter of a step by default and shorter at high
-speed. A foot may then be as deep in a wall as it moves in a substep; if it enters and leaves a wall within one, the
-impact is missed. `exact` locates impacts to rounding, also to that of large angles: a foot may be outside by 5e-10 L at
-1e6 rad, 5e-4 L at 1e12 rad.
+speed. If a foot enters and leaves a wall within a substep, the impact is missed. `exact` locates impacts to rounding,
+also to that of large angles: a foot may be outside by 5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad.
 
 Unless a row differs, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both start at
 several m/s and rad/s, and there is neither gravity nor torque.
