@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -145,6 +145,10 @@ docs: .venv/ready
 # Each recipe of docs/recipes.md, shortened; those of other libraries in environments of their own in runs/recipes.
 recipes: .venv/ready
 	@$(BIN)/python scripts/recipes/run.py
+
+# What the recipes that train earn, in full, docs/recipes.md; half an hour.
+recipes-table: .venv/ready
+	@$(BIN)/python scripts/studies/recipes/recipes.py
 
 # Two wheels in dist: one for any platform, and one for Linux with the exact model compiled, which is then tried.
 wheel: .venv/ready

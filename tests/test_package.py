@@ -93,6 +93,11 @@ def test_no_shipped_line_names_a_machine_or_a_registry() -> None:
             assert not name.startswith("docs/") or "/tmp/" not in text, name
 
 
+def code(path: Path) -> list[str]:
+    """The blocks of a page, in any language."""
+    return re.findall(r"```\w+\n(.*?)```", path.read_text(), re.DOTALL)
+
+
 def blocks(path: Path) -> list[str]:
     """The Python of a page."""
     return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
@@ -115,6 +120,12 @@ def test_the_readme_is_short_and_its_tables_have_the_measured_numbers() -> None:
     trust = (ROOT / "docs" / "trust.md").read_text()
     proven = re.findall(r"^\|[^|]+\|[^|]+\|[^|]+\| ([\d,]+) +\| [\d,]+ +\| 0 ", trust, re.MULTILINE)
     assert f"[{sum(int(one.replace(',', '')) for one in proven):,} control steps are proven]" in page
+
+
+def test_git_ignores_what_the_readmes_programs_write() -> None:
+    written = set(re.findall(r"\w+\.(?:zip|gif|mp4)\b|env\.json", "".join(code(ROOT / "README.md"))))
+    assert "juggler.zip" in written
+    assert written <= set((ROOT / ".gitignore").read_text().replace("/", "").split())
 
 
 WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -35,8 +35,8 @@ _GAME = (
 )
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
-    "sb3_contrib": Recipe(_script("sb3_contrib", "--steps", "1200")),
-    "dqn": Recipe(_script("dqn", "--steps", "4000")),
+    "sb3_contrib": Recipe(_script("sb3", "TQC", "--steps", "1200")),
+    "dqn": Recipe(_script("sb3", "DQN", "--task", "spin", "--steps", "4000")),
     "servo": Recipe(_script("servo", "4000")),
     "places": Recipe(_script("places", "8000")),
     "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),

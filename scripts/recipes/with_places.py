@@ -24,4 +24,4 @@ seen = Observation(("x", "y", "cosine_box", "sine_box", "cosine_jack", "sine_jac
 envs = VecFrameStack(make_sb3_vec_env(64, fidelity="exact", observation=seen, action_repeat=4), n_stack=3)
 model = PPO("MlpPolicy", envs, 1e-3, n_steps=64, batch_size=512, gae_lambda=0.9, seed=0, device="cpu")
 model.learn(int(sys.argv[1]) if sys.argv[1:] else 300_000, progress_bar=True)
-print("return {:.0f} +- {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))
+print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))

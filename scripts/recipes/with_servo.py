@@ -24,4 +24,4 @@ envs = make_sb3_vec_env(256, fidelity="exact", observation="landing", action=ser
 quiet = {"log_std_init": -1.0}  # small actions at first
 model = PPO("MlpPolicy", envs, 2e-3, n_steps=12, batch_size=1024, gamma=0.7, policy_kwargs=quiet, seed=0, device="cpu")
 model.learn(int(sys.argv[1]) if sys.argv[1:] else 100_000, progress_bar=True)
-print("return {:.0f} +- {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))
+print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))

@@ -82,6 +82,26 @@ def test_infos_have_the_drawn_scenes_of_the_ended_episode_and_of_the_next(contac
 
 
 @EVERY_MODEL
+def test_a_curriculum_reads_its_variable_at_each_reset(contact: str) -> None:
+    heaviest = [4.5]
+    settings: dict[str, Any] = {"contact": contact, "randomize": lambda rng: {"jack_mass": rng.uniform(4.0, *heaviest)}}
+    env, batch = JackInBoxEnv(**settings), JackInBoxVectorEnv(3, max_episode_steps=2, **settings)
+    listed = make_sb3_vec_env(3, max_episode_steps=2, **settings)
+    for most in (4.5, 400.0):
+        heaviest[0] = most
+        env.reset(seed=1)
+        if most == 4.5:
+            batch.reset(seed=1)
+            listed.seed(1)
+            listed.reset()
+        for _ in range(3):  # also the restart of an episode
+            batch.step(None)
+            listed.step(np.zeros((3, 1)))
+        masses = [env.scene.jack_mass, *batch.field("jack_mass"), *(one.jack_mass for one in listed.get_attr("scene"))]
+        assert (np.array(masses) > 4.5).any() == (most == 400.0)
+
+
+@EVERY_MODEL
 def test_impacts_of_each_environment_are_those_of_the_single_one(contact: str) -> None:
     scenes = [Scene(restitution=0.3), Scene(drive=SHAKEN), Scene(restitution=0.0, gravity=30.0)]  # two come to rest
     batch = JackInBoxVectorEnv(3, 150, "SAME_STEP", contact=contact, scene=scenes)

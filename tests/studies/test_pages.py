@@ -20,6 +20,7 @@ from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
 from scripts.studies.derivatives import derivatives
 from scripts.studies.fitting import fitting
+from scripts.studies.recipes import recipes
 from scripts.studies.results import results
 from scripts.studies.speed import measured, speed
 from scripts.studies.study import as_text
@@ -27,7 +28,7 @@ from scripts.studies.study import as_text
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, derivatives, fitting, results, speed)}
+STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, derivatives, fitting, recipes, results, speed)}
 
 
 def stored(name: str) -> Any:
@@ -42,6 +43,19 @@ def test_a_page_shows_the_stored_numbers(name: str) -> None:
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_record_is_stored_as_it_is_written(name: str) -> None:
     assert as_text(stored(name)) == (DOCS / f"{name}.json").read_text()
+
+
+def test_what_a_recipe_prints_is_its_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recipes, "HERE", tmp_path)
+    (tmp_path / "with_one.py").write_text("print('training')\nprint('after 1,000 actions: return -3.5 +- 0.2')")
+    row = recipes.trained("one", [])
+    assert (row["actions"], row["mean"], row["half_width_95"]) == (1000, -3.5, 0.2)
+    (tmp_path / "with_one.py").write_text("print('return 24, deviation 7')")
+    row = recipes.trained("one", [])
+    assert (row["actions"], row["mean"], row["half_width_95"]) == (None, 24.0, None)
+    (tmp_path / "with_one.py").write_text("raise SystemExit('no memory')")
+    with pytest.raises(RuntimeError, match="the recipe one failed: no memory"):
+        recipes.trained("one", [])
 
 
 def test_other_numbers_would_make_another_page() -> None:
