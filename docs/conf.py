@@ -55,8 +55,7 @@ napoleon_use_ivar = False  # attributes are entries of their own, which links fi
 def _plain(app, what, name, obj, options, signature, return_annotation):
     """Names of types without what Sphinx makes of them inside a union."""
     return tuple(
-        text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
-        for text in (signature, return_annotation)
+        text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, return_annotation)
     )
 
 

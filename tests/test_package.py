@@ -204,6 +204,29 @@ def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
         assert [words for words in sentences if words not in page] == [], name
 
 
+def code_lines(page: Path) -> list[str]:
+    """The lines of code that the site shows of a page or notebook; those of output and Markdown wrap there."""
+    text = page.read_text()
+    if page.suffix == ".ipynb":
+        return [line for cell in json.loads(text)["cells"] if cell["cell_type"] == "code" for line in cell["source"]]
+    found = re.findall(r"^ *```(?!text|md|\{)\S+\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE)
+    included = re.findall(r"^```{literalinclude} (\S+)", text, re.MULTILINE)
+    found += [(page.parent / name).read_text() for name in included]
+    return [line for block in found for line in block.splitlines()]
+
+
+def test_code_on_the_site_fits_a_laptop() -> None:
+    # docs/_static/site.css has the sizes. Examples of docstrings are indented there.
+    for kind, least in (("md", 500), ("ipynb", 100)):
+        pages = sorted((ROOT / "docs").glob(f"*.{kind}"))
+        assert sum(map(len, map(code_lines, pages))) > least
+        for page in pages:
+            assert [line for line in code_lines(page) if len(line.rstrip()) > 100] == [], page.name
+    for file in (ROOT / "jackbox_env").rglob("*.py"):
+        examples = re.findall(r"^ *((?:>>>|\.\.\.) .*)$", file.read_text(), re.MULTILINE)
+        assert [line for line in examples if len(line) > 96] == [], file.name
+
+
 PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if blocks(path))
 
 

@@ -1,4 +1,4 @@
-"""PPO from pictures of 48 x 48 pixels, the last four control steps at a time, instead of numbers."""
+"""PPO from pictures of 48 x 48 pixels, of the last four control steps, instead of numbers."""
 
 import argparse
 
@@ -14,9 +14,10 @@ parser.add_argument("--steps", type=int, default=20_000)
 steps = parser.parse_args().steps
 
 torch.set_num_threads(1)  # small networks are fastest on one thread
-pixels = Pixels(size=(48, 48), stack=4)
-envs = make_sb3_vec_env(32, fidelity="exact", observation=pixels, action="landing", action_repeat=20)
+keywords = {"observation": Pixels(size=(48, 48), stack=4), "action": "landing", "action_repeat": 20}
+envs = make_sb3_vec_env(32, fidelity="exact", **keywords)
 print(f"observations {envs.observation_space.shape} {envs.observation_space.dtype}")
-model = PPO("CnnPolicy", envs, n_steps=32, batch_size=256, n_epochs=3, gamma=0.905, seed=0, device="cpu", verbose=1)
+ppo = {"n_steps": 32, "batch_size": 256, "n_epochs": 3, "gamma": 0.905}
+model = PPO("CnnPolicy", envs, **ppo, seed=0, device="cpu", verbose=1)
 model.learn(steps)
 print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))
