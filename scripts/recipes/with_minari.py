@@ -3,6 +3,7 @@
 import argparse
 import os
 import tempfile
+from typing import Any
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--episodes", type=int, default=4)
@@ -33,7 +34,11 @@ with tempfile.TemporaryDirectory() as folder:
         game = read_game(arguments.game)
         if None in game.shares or not game.shares:
             raise SystemExit("a dataset needs a game of at least one step, without the chirp")
-        setting = {"task": game.task, "scene": game.scene.as_dict(), "control_dt": game.dt}
+        setting: dict[str, Any] = {
+            "task": game.task,
+            "scene": game.scene.as_dict(),
+            "control_dt": game.dt,
+        }
         made = gym.make("JackInBox-v0", len(game.shares), fidelity="exact", **setting)
         env = minari.DataCollector(made, record_infos=True)
         env.reset(options={"state": game.start})

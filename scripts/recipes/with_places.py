@@ -24,12 +24,10 @@ def places(scene: Any, s: Any, time: float) -> tuple[float, ...]:
 torch.set_num_threads(1)  # small networks are fastest on one thread
 names = "x", "y", "cosine_box", "sine_box", "cosine_jack", "sine_jack"
 seen = Observation(names, -1.5, 1.5, places)
-envs = make_sb3_vec_env(64, fidelity="exact", observation=seen, action_repeat=4)
-ppo = {"n_steps": 64, "batch_size": 512, "gae_lambda": 0.9}
-model = PPO("MlpPolicy", VecFrameStack(envs, n_stack=3), 1e-3, **ppo, seed=0, device="cpu")
-model.learn(int(sys.argv[1]) if sys.argv[1:] else 300_000, progress_bar=True)
-print(
-    "return {:.0f}, deviation {:.0f}".format(
-        *evaluate_policy(model, model.get_env(), n_eval_episodes=64)
-    )
+alone = make_sb3_vec_env(64, fidelity="exact", observation=seen, action_repeat=4)
+envs = VecFrameStack(alone, n_stack=3)
+model = PPO(
+    "MlpPolicy", envs, 1e-3, n_steps=64, batch_size=512, gae_lambda=0.9, seed=0, device="cpu"
 )
+model.learn(int(sys.argv[1]) if sys.argv[1:] else 300_000, progress_bar=True)
+print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))
