@@ -45,15 +45,17 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page, seed by seed, so that an interrupted run has as many of each fidelity."""
+    """All trials of the page: fine, the slowest, last; of a task seed by seed, so an interrupted run compares alike."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
-    for seed, task in product(range(arguments.seeds), these.DECISIONS):
-        for fidelity in FIDELITIES:
+    for fidelities, (task, seed) in product(
+        (FIDELITIES[:3], FIDELITIES[3:]), product(these.DECISIONS, range(arguments.seeds))
+    ):
+        for fidelity in fidelities:
             if fidelity != "fine" or (task == "juggle" and seed < 3):
                 training = {"task": task, "fidelity": fidelity, "seed": seed, "episodes": arguments.episodes}
                 every.append({"part": "trained", "runs": str(arguments.runs), **training})

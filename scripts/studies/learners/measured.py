@@ -14,7 +14,7 @@ from agents.files import read_json
 from agents.policies.network import SHIPPED
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.registry import find_policy
-from agents.runs import TIME, machine, read_settings, versions
+from agents.runs import RUN, TIME, read_settings
 from agents.settings import EnvSettings
 from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
 from agents.training.ppo import trained_in
@@ -41,7 +41,7 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         return evaluate(name.stem, find_policy(str(name), on), on.env_settings, count, SEED).mean
 
     steps = sorted(steps_of_checkpoints(run))
-    spent = float(read_json(run / TIME)["processor_seconds"])
+    spent, made = float(read_json(run / TIME)["processor_seconds"]), read_json(run / RUN)
     return {
         "task": task,
         "fidelity": fidelity,
@@ -50,8 +50,8 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         "curve": [earned(checkpoint_path(run, one), "exact", CURVE_EPISODES) for one in steps],
         "seconds": [spent * one / DECISIONS[task] for one in steps],  # updates take equally long all along
         "processor_seconds": spent,
-        "commit": versions()["commit"],
-        "machine": machine(),
+        "commit": made["versions"]["commit"],
+        "machine": made["machine"],
     }
 
 
