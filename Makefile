@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -162,6 +162,10 @@ ranges: .venv/ready
 # Minari datasets of random torques, PPO and the planner on each task, in runs/dataset; about 3 minutes.
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
+
+# Words of README and of the pages in docs/, tables and code included.
+words:
+	@cat README.md docs/*.md | wc -w
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

@@ -60,13 +60,13 @@ def _plain(app, what, name, obj, options, signature, return_annotation):
 
 
 def _in_short(app, what, name, obj, options, lines):
-    """Of the environment's docstring its first line: the rest is the page environment.md, in Markdown."""
+    """Of the environment's docstring its first line; the rest is the page environment.md."""
     if name == "jackbox_env.JackInBoxEnv":
         lines[1:] = ["", "Its spaces, rewards and arguments are on its page, :doc:`/environment`."]
 
 
 def _whole(app, what, name, obj, options, lines):
-    """Put an empty comment first: napoleon reads words before a colon in a property's first line as its type."""
+    """Put an empty comment first: else napoleon reads words before a colon as a property's type."""
     if what == "property":
         lines[:0] = ["..", ""]
 

@@ -1,6 +1,6 @@
 """Write the model cards of agents/trained, in the hub's layout, from the networks' settings and docs/results.json.
 
-``scripts/dataset.py`` writes the datasets' card.
+`scripts/dataset.py` writes the datasets' card.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Run the core of the tests with the oldest and the newest dependencies that pyproject.toml allows; compare the bits.
 
-Two environments are made anew, ``.venv/ranges-lowest`` and ``.venv/ranges-newest``. Each gets the package's own
+Two environments are made anew, `.venv/ranges-lowest` and `.venv/ranges-newest`. Each gets the package's own
 dependencies and what these tests need, no extras: a test that needs an extra is skipped. The lowest releases exist for
 Python 3.11 and 3.12.
 """

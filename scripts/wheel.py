@@ -1,6 +1,6 @@
 """Build two wheels in dist: one for any platform, and one for Linux on x86-64 with the exact model compiled.
 
-The second is for this version of CPython. Its machine code is for ``SHIPPED_FOR`` and the version of numba here; where
+The second is for this version of CPython. Its machine code is for `SHIPPED_FOR` and the version of numba here; where
 it does not fit, the exact model is compiled on first use, as from the first wheel.
 """
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import re
 from collections.abc import Iterator, Sequence
 from decimal import Context, Decimal
 from fractions import Fraction
@@ -208,9 +209,25 @@ def text_of(written: list[Case]) -> str:
     return f'{{"version": 1, "state": {json.dumps(STATE_NAMES)}, "cases": [\n{lines}\n]}}\n'
 
 
+def span(words: list[str]) -> str:
+    """The one word that all are; else their smallest and largest number, with the mark behind it."""
+    if len(set(words)) == 1:
+        return words[0]
+    ordered = sorted(words, key=lambda word: float(word.rstrip(".,;")))
+    return f"{ordered[0].rstrip('.,;')} to {ordered[-1]}"
+
+
 def table_of(written: list[Case]) -> str:
-    """The table of the page."""
-    rows = [(f"`{one['name']}`", one["about"], f"{one['duration']:g}", str(len(one["impacts"]))) for one in written]
+    """The table of the page: a row for each series of cases, whose names differ in their last number only."""
+    series = dict[str, list[Case]]()
+    for one in written:
+        series.setdefault(re.sub(r"[\d.]+$", "", one["name"]), []).append(one)
+    rows = []
+    for alike in series.values():
+        names = dict.fromkeys(f"`{one['name']}`" for one in (alike[0], alike[-1]))
+        about = " ".join(span(list(words)) for words in zip(*(one["about"].split() for one in alike), strict=True))
+        numbers = ([f"{one['duration']:g}" for one in alike], [str(len(one["impacts"])) for one in alike])
+        rows.append((" to ".join(names), about, *map(span, numbers)))
     return table(("case", "what it is", "duration [s]", "impacts"), rows)
 
 

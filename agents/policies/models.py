@@ -188,6 +188,8 @@ def model_in_env(
         wanted, got = (shape, spaces[1]), (known, model.action_space)
         if got != wanted:
             nouns = "use --env observation=..., --env action=... and --env action_repeat=... as in its training"
+            if len(shape) == len(known) == 1 and known[0] > shape[0] and known[0] % shape[0] == 0:
+                nouns = f"if VecFrameStack stacked them, save it by jackbox_env.sb3.save_model; else {nouns}"
             raise ValueError(f"it has observations {got[0]} and {got[1]}, got {wanted[0]} and {wanted[1]}: {nouns}")
     return PolicyWithEnv(ModelPolicy(model, wrappers), keywords)
 

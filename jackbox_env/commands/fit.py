@@ -1,4 +1,4 @@
-"""Fit fields of a scene to recordings: CSV files of a camera, or CSV or npz files of ``jackbox simulate``."""
+"""Fit fields of a scene to recordings: CSV files of a camera, or CSV or npz files of `jackbox simulate`."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     ## Action Space
 
-    `action` selects it, and `action_repeat` for how long an action lasts:
+    `action` selects it; `action_repeat` sets how long an action lasts:
 
     - `"torque"` (default): `Box(-1, 1, (1,))`, the torque on the box in units of `scene.torque_limit` (90000 N m),
       positive counter-clockwise. A plain number is accepted too.
@@ -180,10 +180,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     ## Fidelity
 
-    `fidelity` sets how impacts are computed: `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4
-    and 64 substeps, `"exact"` is the exact model. docs/accuracy.md has the error and the speed of each. `contact` and
-    `substeps` select unnamed combinations; if they conflict with `fidelity`, they raise ValueError.
-    `jackbox_env.cheapest` measures which setting stays within given bounds in your own scene.
+    `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4 and 64 substeps, `"exact"` is the exact
+    model. docs/accuracy.md has the error and the speed of each. `contact` and `substeps` select unnamed combinations;
+    if they conflict with `fidelity`, they raise ValueError.
 
     >>> import gymnasium as gym, jackbox_env
     >>> env = gym.make("JackInBox-v0")

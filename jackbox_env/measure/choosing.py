@@ -87,7 +87,9 @@ def cheapest(
         JackLostError: the exact model cannot follow a case to its first impact.
 
     >>> from jackbox_env import cheapest
-    >>> cheapest({"restitution": 0.5}, first_impact_error=0.005, penetration=0.2, contact="pymunk").setting.substeps
+    >>> scene = {"restitution": 0.5}
+    >>> choice = cheapest(scene, first_impact_error=0.005, penetration=0.2, contact="pymunk")
+    >>> choice.setting.substeps
     4
     """
     if contact is not None:

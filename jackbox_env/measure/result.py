@@ -14,8 +14,8 @@ class Fit:
 
     >>> import numpy as np
     >>> from jackbox_env import Recording, fit, rollout
-    >>> still, torques = Scene(drive=None), np.zeros(150)  # nothing pushes, so only the ratio of the masses matters
-    >>> states = rollout(still, 0.3 * np.eye(12)[5], torques, dt=0.02)[0]  # the jack leans by 0.3 rad
+    >>> still, torques = Scene(drive=None), np.zeros(150)  # only the ratio of the masses matters
+    >>> states = rollout(still, 0.3 * np.eye(12)[5], torques, dt=0.02)[0]  # leaning by 0.3 rad
     >>> fit(Recording(states, torques, dt=0.02), ("box_mass", "jack_mass"), still).unidentified
     ('the recordings identify box_mass and jack_mass only up to one common factor',)
 

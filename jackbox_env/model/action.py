@@ -33,7 +33,7 @@ class Action:
 
     One of your own is accepted wherever the name of one is, ``gym.make("JackInBox-v0", action=servo)``.
 
-    >>> def towards(scene, state, action, time, dt):  # a PD controller: the action is an angle of the box [rad]
+    >>> def towards(scene, state, action, time, dt):  # PD; the action is an angle of the box [rad]
     ...     wanted = 30.0 * (action[0] - state.theta_box) - 10.0 * state.omega_box  # [rad/s^2]
     ...     return wanted * scene.box_inertia / scene.torque_limit
     >>> servo = Action(gym.spaces.Box(-0.5, 0.5, (1,)), towards)

@@ -100,7 +100,8 @@ def contacts_of(scene: Scene, states: Array, walls: Indices, feet: Indices) -> t
 
     :func:`gaps` and :func:`gap_jacobian` for many states, without checks.
 
-    >>> gap, derivative = contacts_of(Scene(), np.zeros((2, 12)), walls=np.array([0, 1]), feet=np.array([0, 0]))
+    >>> walls, feet = np.array([0, 1]), np.array([0, 0])
+    >>> gap, derivative = contacts_of(Scene(), np.zeros((2, 12)), walls, feet)
     >>> gap
     array([5., 6.])
 
@@ -125,7 +126,7 @@ def impact_map(scene: Scene, state: ArrayLike, wall: int, foot: int) -> tuple[Ar
 
     The gap need not be closed. A contact that separates (J qdot- >= 0) changes nothing.
 
-    >>> state = [0, 0, 0, 5, 0, 0, 0, 0, 0, 1, 0, 0]  # foot 0 touches wall 0, and the jack flies there at 1 m/s
+    >>> state = [0, 0, 0, 5, 0, 0, 0, 0, 0, 1, 0, 0]  # foot 0 reaches wall 0 at 1 m/s
     >>> after, impulse = impact_map(Scene(), state, wall=0, foot=0)
     >>> after[6:].round(3), round(impulse, 3)
     (array([ 0.02,  0.  ,  0.  , -0.98,  0.  ,  0.  ]), 7.921)
@@ -177,7 +178,7 @@ def simultaneous_impact_map(scene: Scene, state: ArrayLike, contacts: Sequence[t
     contacts of rank 3); the result is then one valid choice. Resolving the contacts one after the other conserves the
     energy too, but leads to other velocities. This project's convention is the simultaneous law.
 
-    >>> state = [0, 0, 0, 0, -5.3, np.pi / 4, 0, 0, 0, 0, -1, 0]  # two feet fall onto wall 3, the floor
+    >>> state = [0, 0, 0, 0, -5.3, np.pi / 4, 0, 0, 0, 0, -1, 0]  # two feet fall onto the floor
     >>> after, impulses = simultaneous_impact_map(Scene(), state, [(3, 2), (3, 3)])
     >>> after[10].round(3).item(), impulses.round(2)
     (0.98, array([3.96, 3.96]))
@@ -239,7 +240,7 @@ def _dots(a: Array, b: Array) -> Array:
 def energy(scene: Scene, state: ArrayLike) -> float:
     """The kinetic energy plus m_j g y_jack [J]; a lift carries the box's weight.
 
-    >>> energy(Scene(gravity=10.0), [0, 0, 0, 0, 2.5, 0, 0, 0, 0, 3, 0, 0])  # 4 kg at 2.5 m and 3 m/s
+    >>> energy(Scene(gravity=10.0), [0, 0, 0, 0, 2.5, 0, 0, 0, 0, 3, 0, 0])  # 4 kg, 2.5 m, 3 m/s
     118.0
 
     Raises:

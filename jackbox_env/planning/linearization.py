@@ -31,7 +31,8 @@ class Linearization:
     The matrices are computed when they are first read; ``vjp`` does not need them. It unpacks as
     ``trajectories, A, B, P, smooth``.
 
-    >>> lin = linearize(None, [0, 0, 0, 4.9, 0, 0, 0, 0, 0, 10, 0, 0], [0.0], dt=0.02)  # the jack flies at a wall
+    >>> start = [0, 0, 0, 4.9, 0, 0, 0, 0, 0, 10, 0, 0]  # the jack flies at a wall
+    >>> lin = linearize(None, start, [0.0], dt=0.02)
     >>> steps, times, derivatives = lin.impacts(0)
     >>> times.round(6), derivatives[0, 3].round(6).item()  # starting 1 m closer would save 0.1 s
     (array([0.01]), -0.1)
@@ -188,7 +189,7 @@ def linearize(
     impact multiplies them by about 10, like every error (docs/derivatives.md).
 
     >>> lin = linearize({"gravity": 10.0}, [0.0] * 12, [0.0], dt=0.02, fields=["gravity"])
-    >>> lin.A[0, 0, 4, 10].item(), lin.P[0, 0, 10, 0].item()  # of the jack's y by its rate, of its rate by gravity
+    >>> lin.A[0, 0, 4, 10].item(), lin.P[0, 0, 10, 0].item()  # y by its rate, the rate by gravity
     (0.02, -0.02)
 
     Args:

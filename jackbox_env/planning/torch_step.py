@@ -28,7 +28,8 @@ def step(
 
     Not supported: ``torch.func``, ``torch.vmap``, ``torch.compile``, second derivatives.
 
-    >>> states, actions = torch.zeros(1, 12, dtype=torch.float64), torch.zeros(1, requires_grad=True)
+    >>> states = torch.zeros(1, 12, dtype=torch.float64)
+    >>> actions = torch.zeros(1, requires_grad=True)
     >>> next_states, rewards, smooth = step({"box_inertia": 9000.0}, states, actions)
     >>> next_states[0, 8].backward()  # the box's rate, after 0.02 s at up to 10 rad/s^2
     >>> round(actions.grad.item(), 6)

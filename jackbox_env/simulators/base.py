@@ -89,7 +89,7 @@ class Simulator(ABC):
 
     >>> from jackbox_env import make_simulator
     >>> simulator = make_simulator({"gravity": 10.0}, contact="exact")
-    >>> simulator.reset([0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # foot 3 is 0.1 m above wall 3, the floor
+    >>> simulator.reset([0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # 0.1 m above the floor
     >>> state, time, torque, impacts = simulator.step(0.02)
     >>> [(impact.wall, impact.foot) for impact in impacts]
     [(3, 3)]

@@ -68,7 +68,9 @@ def python_for(recipe: Recipe, folder: Path) -> str:
     python, ready = folder / "bin" / "python", folder / "ready"
     if not ready.exists() or ready.read_text() != "\n".join(recipe.needs):
         subprocess.run([sys.executable, "-m", "venv", "--clear", str(folder)], check=True)
-        subprocess.run([str(python), "-m", "pip", "install", "-q", "-e", str(ROOT), *recipe.needs], check=True)
+        subprocess.run(
+            [str(python), "-m", "pip", "install", "-q", "-e", str(ROOT), *recipe.needs], check=True
+        )
         ready.write_text("\n".join(recipe.needs))
     return str(python)
 
@@ -89,11 +91,18 @@ def main() -> None:
         print(f"== {name}", flush=True)
         try:
             python = python_for(recipe, arguments.environments.absolute() / name)
-            without = {key: value for key, value in os.environ.items() if not recipe.needs or key != "PYTHONPATH"}
+            without = {
+                key: value
+                for key, value in os.environ.items()
+                if not recipe.needs or key != "PYTHONPATH"
+            }
             subprocess.run([python, *recipe.arguments], cwd=ROOT, env=without, check=True)
         except subprocess.CalledProcessError:
             failed.append(name)
-        print(f"{'FAILED' if name in failed else 'done'} after {time.monotonic() - began:.0f} s", flush=True)
+        print(
+            f"{'FAILED' if name in failed else 'done'} after {time.monotonic() - began:.0f} s",
+            flush=True,
+        )
     if failed:
         raise RuntimeError(f"{len(failed)} of {len(names)} recipes failed: {', '.join(failed)}")
 

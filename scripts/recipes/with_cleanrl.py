@@ -1,4 +1,4 @@
-"""PPO in one file, in the manner of CleanRL: torch, and Gymnasium's vector interface with 256 environments."""
+"""PPO in one file, in the manner of CleanRL: torch, and Gymnasium's vector interface."""
 
 import argparse
 
@@ -17,14 +17,17 @@ NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, GAMMA, LAMBDA, CLIP = 256, 32, 5, 1024, 0.9
 
 torch.manual_seed(0)
 torch.set_num_threads(1)  # small networks are fastest on one
-envs = gym.make_vec("JackInBox-v0", num_envs=NUM_ENVS, fidelity="exact", task=arguments.task, action_repeat=4,
-                    autoreset_mode="SAME_STEP")  # fmt: skip  # an action every 0.08 s, 125 in an episode
+keywords = {"task": arguments.task, "action_repeat": 4}  # an action every 0.08 s, 125 in an episode
+envs = gym.make_vec(
+    "JackInBox-v0", NUM_ENVS, fidelity="exact", autoreset_mode="SAME_STEP", **keywords
+)
 size = gym.spaces.flatdim(envs.single_observation_space)
 
 
 def network(outputs: int) -> nn.Sequential:
     """Two layers of 64."""
-    return nn.Sequential(nn.Linear(size, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
+    hidden = nn.Linear(size, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
+    return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
 actor, critic, log_std = network(1), network(1), nn.Parameter(torch.full((1,), -0.7))
@@ -49,7 +52,7 @@ for update in range(updates):
             action = torch.normal(actor(observation), log_std.exp())
         after, reward, terminated, truncated, infos = envs.step(action.clamp(-1.0, 1.0).numpy())
         earned += reward
-        if truncated.any():  # the time limit ends no task: the value of what would follow is estimated
+        if truncated.any():  # the time limit ends no task: add the value of what would follow
             final = torch.tensor(np.stack(infos["final_obs"][truncated]))
             with torch.no_grad():
                 reward[truncated] += GAMMA * critic(final).squeeze(-1).numpy()
@@ -65,7 +68,8 @@ for update in range(updates):
         advantages, last = torch.zeros(LENGTH, NUM_ENVS), torch.zeros(NUM_ENVS)
         for step in reversed(range(LENGTH)):
             alive = 1.0 - dones[step]
-            last = rewards[step] + GAMMA * alive * values[step + 1] - values[step] + GAMMA * LAMBDA * alive * last
+            error = rewards[step] + GAMMA * alive * values[step + 1] - values[step]
+            last = error + GAMMA * LAMBDA * alive * last
             advantages[step] = last
         flat_observed, flat_acted = torch.cat(observed), torch.cat(acted)
         before = log_probability(flat_observed, flat_acted)
@@ -74,20 +78,24 @@ for update in range(updates):
         for rows in torch.randperm(len(flat)).split(MINIBATCH):
             ratio = (log_probability(flat_observed[rows], flat_acted[rows]) - before[rows]).exp()
             gain = (flat[rows] - flat[rows].mean()) / (flat[rows].std() + 1e-8)
-            policy_loss = -torch.min(ratio * gain, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gain).mean()
+            clipped = ratio.clamp(1.0 - CLIP, 1.0 + CLIP)
+            policy_loss = -torch.min(ratio * gain, clipped * gain).mean()
             value_loss = (critic(flat_observed[rows]).squeeze(-1) - returns[rows]).square().mean()
             optimiser.zero_grad()
             (policy_loss + 0.5 * value_loss).backward()
             nn.utils.clip_grad_norm_(parameters, 0.5)
             optimiser.step()
     if finished and (update % 10 == 9 or update == updates - 1):
-        print(f"{(update + 1) * NUM_ENVS * LENGTH:,} actions: {np.mean(finished[-NUM_ENVS:]):.1f}", flush=True)
+        actions, recent = (update + 1) * NUM_ENVS * LENGTH, np.mean(finished[-NUM_ENVS:])
+        print(f"{actions:,} actions: {recent:.1f}", flush=True)
 
-observation, earned = torch.tensor(envs.reset(seed=1_000_000)[0]), np.zeros(NUM_ENVS)  # unseen starts
+observation = torch.tensor(envs.reset(seed=1_000_000)[0])  # unseen starts
+earned = np.zeros(NUM_ENVS)
 for _ in range(125):
     with torch.no_grad():
         action = actor(observation)
     after, reward = envs.step(action.clamp(-1.0, 1.0).numpy())[:2]
     observation, earned = torch.tensor(after), earned + reward
 interval = 1.96 * earned.std() / NUM_ENVS**0.5
-print(f"after {updates * NUM_ENVS * LENGTH:,} actions: return {earned.mean():.1f} +- {interval:.1f}")
+actions = updates * NUM_ENVS * LENGTH
+print(f"after {actions:,} actions: return {earned.mean():.1f} +- {interval:.1f}")

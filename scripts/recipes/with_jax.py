@@ -1,4 +1,4 @@
-"""JAX differentiates the exact model: torques that throw the jack, in one bounce, to the middle of the box."""
+"""JAX differentiates the exact model: torques that throw the jack to the middle of the box."""
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +12,14 @@ SCENE, DT, REPEAT = Scene(drive=None), 0.02, 10
 
 
 def linearized(states: jax.Array, torques: jax.Array) -> Linearization:
-    """Ten torques in shares of the limit, each repeated for 10 steps of 0.02 s, by the exact model."""
-    return linearize(SCENE, np.asarray(states), np.asarray(torques) * SCENE.torque_limit, DT, repeat=REPEAT)
+    """Ten torques in shares of the limit, each repeated for 10 steps of 0.02 s."""
+    scaled = np.asarray(torques) * SCENE.torque_limit
+    return linearize(SCENE, np.asarray(states), scaled, DT, repeat=REPEAT)
 
 
-def pulled_back(states: jax.Array, torques: jax.Array, g: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+def pulled_back(
+    states: jax.Array, torques: jax.Array, g: jax.Array
+) -> tuple[np.ndarray, np.ndarray]:
     """The gradient by states and torques."""
     by_states, by_torques, _ = linearized(states, torques).vjp(np.asarray(g))
     return by_states, by_torques * SCENE.torque_limit
@@ -26,7 +29,7 @@ def pulled_back(states: jax.Array, torques: jax.Array, g: jax.Array) -> tuple[np
 def trajectories(states: jax.Array, torques: jax.Array) -> jax.Array:
     """From states, (n, 12), under torques, (n, 10): all states, (n, 101, 12)."""
     shape = jax.ShapeDtypeStruct((len(states), 1 + REPEAT * torques.shape[1], 12), states.dtype)
-    return jax.pure_callback(lambda *arguments: linearized(*arguments).trajectories, shape, states, torques)
+    return jax.pure_callback(lambda *two: linearized(*two).trajectories, shape, states, torques)
 
 
 trajectories.defvjp(
@@ -37,7 +40,8 @@ trajectories.defvjp(
 
 def distances(torques: jax.Array) -> jax.Array:
     """Of the jack from the middle of the box at the end [m]."""
-    starts = jnp.zeros((8, 12)).at[:, X_JACK].set(jnp.linspace(0.3, 1.0, 8)).at[:, THETA_JACK].set(0.1)
+    starts = jnp.zeros((8, 12)).at[:, X_JACK].set(jnp.linspace(0.3, 1.0, 8))
+    starts = starts.at[:, THETA_JACK].set(0.1)
     end = trajectories(starts, torques)[:, -1]
     return jnp.hypot(end[:, X_JACK] - end[:, X_BOX], end[:, Y_JACK] - end[:, Y_BOX])
 

@@ -14,14 +14,20 @@ from jackbox_env.sb3 import make_sb3_vec_env
 
 
 def places(scene: Any, s: Any, time: float) -> tuple[float, ...]:
-    """The jack's centre from the box's [L]; and both angles, which look the same after a quarter turn."""
-    x, y, box, jack = s.x_jack - s.x_box, s.y_jack - s.y_box, 4.0 * s.theta_box, 4.0 * s.theta_jack
-    return x / scene.box_half_width, y / scene.box_half_width, cos(box), sin(box), cos(jack), sin(jack)
+    """The jack's centre from the box's [L]; both angles, the same after a quarter turn."""
+    x = (s.x_jack - s.x_box) / scene.box_half_width
+    y = (s.y_jack - s.y_box) / scene.box_half_width
+    box, jack = 4.0 * s.theta_box, 4.0 * s.theta_jack
+    return x, y, cos(box), sin(box), cos(jack), sin(jack)
 
 
 torch.set_num_threads(1)  # small networks are fastest on one thread
-seen = Observation(("x", "y", "cosine_box", "sine_box", "cosine_jack", "sine_jack"), -1.5, 1.5, places)
-envs = VecFrameStack(make_sb3_vec_env(64, fidelity="exact", observation=seen, action_repeat=4), n_stack=3)
-model = PPO("MlpPolicy", envs, 1e-3, n_steps=64, batch_size=512, gae_lambda=0.9, seed=0, device="cpu")
+names = "x", "y", "cosine_box", "sine_box", "cosine_jack", "sine_jack"
+seen = Observation(names, -1.5, 1.5, places)
+alone = make_sb3_vec_env(64, fidelity="exact", observation=seen, action_repeat=4)
+envs = VecFrameStack(alone, n_stack=3)
+model = PPO(
+    "MlpPolicy", envs, 1e-3, n_steps=64, batch_size=512, gae_lambda=0.9, seed=0, device="cpu"
+)
 model.learn(int(sys.argv[1]) if sys.argv[1:] else 300_000, progress_bar=True)
 print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))

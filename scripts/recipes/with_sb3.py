@@ -1,4 +1,4 @@
-"""Algorithms of Stable-Baselines3 and sb3-contrib with plain settings: ten numbers observed, a torque for 0.08 s."""
+"""Algorithms of Stable-Baselines3 and sb3-contrib: ten numbers observed, a torque for 0.08 s."""
 
 import argparse
 from typing import Any
@@ -11,18 +11,19 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from jackbox_env.sb3 import make_sb3_vec_env
 
-ON_POLICY = {"n_steps": 125, "batch_size": 1000, "learning_rate": 1e-3}  # 125 actions are an episode
+# 125 actions are an episode.
+ON_POLICY = {"n_steps": 125, "batch_size": 1000, "learning_rate": 1e-3}
 OFF_POLICY = {"learning_rate": 1e-3, "gradient_steps": 4, "learning_starts": 1000}
 SMALL = {"policy_kwargs": {"net_arch": [64, 64]}}
-RECURRENT = {"n_steps": 64, "batch_size": 512, "n_epochs": 5, "learning_rate": 1e-3, "gae_lambda": 0.9}
-MEMORY = {"policy_kwargs": {"lstm_hidden_size": 64}}
-Q_LEARNING = {"learning_rate": 1e-3, "train_freq": 1, "gradient_steps": 2, "target_update_interval": 400}
+RECURRENT = {"n_steps": 64, "batch_size": 512, "n_epochs": 5, "learning_rate": 1e-3}
+MEMORY = {"gae_lambda": 0.9, "policy_kwargs": {"lstm_hidden_size": 64}}
+Q_LEARNING = {"train_freq": 1, "gradient_steps": 2, "target_update_interval": 400}
 ALGORITHMS: dict[str, Any] = {  # class, network, environments, actions to train for, settings
     "PPO": (PPO, "MlpPolicy", 64, 500_000, ON_POLICY),
     "RecurrentPPO": (RecurrentPPO, "MlpLstmPolicy", 64, 150_000, RECURRENT | MEMORY),
     "SAC": (SAC, "MlpPolicy", 8, 20_000, OFF_POLICY | SMALL),
     "TQC": (TQC, "MlpPolicy", 8, 10_000, OFF_POLICY | SMALL),
-    "DQN": (DQN, "MlpPolicy", 16, 300_000, Q_LEARNING),
+    "DQN": (DQN, "MlpPolicy", 16, 300_000, {"learning_rate": 1e-3, **Q_LEARNING}),
 }
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -34,8 +35,9 @@ algorithm, network, num_envs, steps, settings = ALGORITHMS[arguments.algorithm]
 steps = arguments.steps or steps
 
 torch.set_num_threads(1)  # small networks are fastest on one thread
-action = "discrete" if algorithm is DQN else "torque"  # full torque to one side, none, or full torque to the other
-envs = make_sb3_vec_env(num_envs, fidelity="exact", task=arguments.task, action=action, action_repeat=4)
+action = "discrete" if algorithm is DQN else "torque"  # discrete: full torque, none, or the reverse
+keywords = {"task": arguments.task, "action": action, "action_repeat": 4}
+envs = make_sb3_vec_env(num_envs, fidelity="exact", **keywords)
 model = algorithm(network, envs, **settings, seed=0, device="cpu")
 model.learn(steps, progress_bar=True)
 envs.seed(1_000_000)  # starts that the training has not seen

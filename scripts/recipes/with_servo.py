@@ -1,4 +1,4 @@
-"""An action of one's own: in each control step a servo turns the box towards the angle that PPO has chosen."""
+"""An action of one's own: a servo turns the box towards the angle that PPO has chosen."""
 
 import sys
 from typing import Any
@@ -20,8 +20,11 @@ def towards(scene: Any, state: Any, action: Any, time: float, dt: float) -> Any:
 
 torch.set_num_threads(1)  # small networks are fastest on one thread
 servo = Action(gym.spaces.Box(-1.0, 1.0, (1,)), towards)
-envs = make_sb3_vec_env(256, fidelity="exact", observation="landing", action=servo, action_repeat="bounce")
-quiet = {"log_std_init": -1.0}  # small actions at first
-model = PPO("MlpPolicy", envs, 2e-3, n_steps=12, batch_size=1024, gamma=0.7, policy_kwargs=quiet, seed=0, device="cpu")
+envs = make_sb3_vec_env(
+    256, fidelity="exact", observation="landing", action=servo, action_repeat="bounce"
+)
+ppo: dict[str, Any] = {"n_steps": 12, "batch_size": 1024, "gamma": 0.7}
+ppo["policy_kwargs"] = {"log_std_init": -1.0}  # small actions at first
+model = PPO("MlpPolicy", envs, 2e-3, **ppo, seed=0, device="cpu")
 model.learn(int(sys.argv[1]) if sys.argv[1:] else 100_000, progress_bar=True)
 print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))

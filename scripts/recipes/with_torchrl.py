@@ -11,6 +11,6 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=10_000)
 steps = parser.parse_args().steps
 
-envs = GymWrapper(gym.make_vec("JackInBox-v0", num_envs=16, fidelity="exact", autoreset_mode="DISABLED"))
-played = envs.rollout(max(1, steps // 16), break_when_any_done=False)
+envs = gym.make_vec("JackInBox-v0", num_envs=16, fidelity="exact", autoreset_mode="DISABLED")
+played = GymWrapper(envs).rollout(max(1, steps // 16), break_when_any_done=False)
 print(f"{played.numel():,} steps, mean reward {played['next', 'reward'].mean().item():.3f}")

@@ -1,4 +1,4 @@
-"""Build the page in which the jack in a box is played: ``python -m scripts.site.build``.
+"""Build the page in which the jack in a box is played: `python -m scripts.site.build`.
 
 One HTML file without a network: the exact model as a WebAssembly module, the trained networks, the script. The module
 is compiled once for each version of the source, and stored with the package's compiled code.

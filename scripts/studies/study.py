@@ -154,12 +154,16 @@ def by_part(study: Study, rows: Trials) -> Record:
 
 
 def made_lines(made: Mapping[str, str]) -> str:
-    """Machine and versions, once for all parts that share them, and of each part the commit, settings and noise."""
-    parts = dict[str, list[str]]()
+    """Machine and versions, commit, settings and noise, each once for all parts that share them."""
+    groups = dict[str, dict[str, list[str]]]()
     for part, text in made.items():
         shared, _, rest = text.partition(", commit ")
-        parts.setdefault(shared, []).append(f"`{part}` at commit {rest}")
-    return "\n".join(f"- {shared}: {' '.join(ones)}" for shared, ones in parts.items())
+        groups.setdefault(shared, {}).setdefault(rest, []).append(f"`{part}`")
+    lines = []
+    for shared, of in groups.items():
+        measured_at = (f"{', '.join(parts)} at commit {rest}" for rest, parts in of.items())
+        lines.append(f"- {shared}: {' '.join(measured_at)}")
+    return "\n".join(lines)
 
 
 # -- the command -------------------------------------------------------------------------------------------------------

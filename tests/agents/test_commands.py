@@ -190,6 +190,7 @@ def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
 def test_every_command_line_explains_itself(name: str, tmp_path: Path) -> None:
     out = re.sub(r"[│\s]+", " ", script(name, "--help", cwd=tmp_path).stdout).lower()
     assert "show this help message" in out
+    assert not re.search(r"``|:\w+:`", out)  # marks of docstrings
     for option, meaning in MEANINGS.items():
         assert meaning in out or not re.search(rf"{option}\b", out), option
 

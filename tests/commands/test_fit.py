@@ -188,7 +188,7 @@ def test_unix_times_count_from_the_first_row_if_the_torques_are_held(folder: Pat
 def test_the_documented_commands_converge(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = (ROOT / "docs" / "fitting.md").read_text()
+    page = (ROOT / "docs" / "fitting.md").read_text().replace("\\\n", "")
     commands = re.findall(r"^jackbox (\w+) ([^#\n]*)", page, re.M)
     assert [name for name, _ in commands] == ["fit", "simulate", "fit"]
     monkeypatch.chdir(tmp_path)

@@ -21,17 +21,15 @@ LOSS, STARTS = "Loss", "Feet that start on a wall or behind it"
 
 HEAD = """
 `0.22 of 1 m` means 0.22 m with a bound of 1 m. A cell has the result that is closest to its bound;
-[extremes.jsonl](extremes.jsonl) has all. *refused*: the call raises an error with this sentence and changes nothing.
-*FAILS*: a result beyond its bound; the row's test then fails too.
+[extremes.jsonl](extremes.jsonl) has all. *refused*: the call raises this error and changes nothing. *FAILS*: a result
+beyond its bound.
 
-Errors of momentum, energy and rates (the six velocities) without a unit are relative to the largest of their kind. They
-are differences from the impact map, or from the simultaneous law if several feet touch.
+Errors without a unit, of momentum, energy and rates (the six velocities), are relative to the largest of their kind.
+Rates are compared with the impact map, or with the simultaneous law if several feet touch.
 
 `pymunk` applies an impact at the end of its substep, which is a quarter of a step by default and shorter at high
-speed. A foot may then be as deep in a wall as it moves in a substep, 1 m at most. A foot that enters and leaves a wall
-within a substep is missed. `exact` locates impacts to rounding. Angles are rounded too: at 1e6 rad their unit in the
-last place is 1.2e-10 rad. A foot may then be outside by up to 4 L times this unit: 5e-10 L at 1e6 rad, 5e-4 L at 1e12
-rad.
+speed. If a foot enters and leaves a wall within a substep, the impact is missed. `exact` locates impacts to rounding,
+also to that of large angles: a foot may be outside by 5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad.
 
 Unless a row differs, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both start at
 several m/s and rad/s, and there is neither gravity nor torque.
@@ -101,9 +99,9 @@ def refuses(call: Callable[[], object], match: str) -> Finding:
 
 
 def closest(finding: Finding) -> str:
-    """The cell of a finding: of results within their bounds, the one closest to its bound."""
+    """The cell of a finding: of results within their bounds, the one closest to its bound; of an error, its start."""
     if finding.verdict != HOLDS:
-        return f"{finding.verdict}: {finding.seen}"
+        return f"{finding.verdict}: {finding.seen.split(':')[0] if finding.verdict == REFUSED else finding.seen}"
     shares = dict[str, float]()
     for result in finding.seen.split("; "):
         numbers = re.search(r" ([-\d.e]+) of ([-\d.e]+)", result)
@@ -129,13 +127,13 @@ def recorded(findings: Findings) -> str:
 
 def answer(findings: Findings) -> str:
     """The page in three sentences."""
-    cases, verdicts = len({what for what, _ in findings}), [finding.verdict for finding in findings.values()]
+    verdicts = [finding.verdict for finding in findings.values()]
     return (
-        f"{cases} extremes were tried on both contact models: {verdicts.count(HOLDS)} results are within their bounds, "
-        f"{verdicts.count(REFUSED)} were refused with a message, {verdicts.count(FAILS) or 'none'} failed. `exact` "
-        "follows the laws to rounding and keeps every foot inside to 1e-9 m, for all masses, speeds, spins and steps "
-        "tried. `pymunk` conserves momentum and energy as well, but a foot may be up to 1 m in a wall at the end of a "
-        "step; a step in which it would move further raises an error."
+        f"Of {len(verdicts)} runs {verdicts.count(HOLDS)} stayed within their bounds, {verdicts.count(REFUSED)} were "
+        f"refused with a message, {verdicts.count(FAILS) or 'none'} failed. `exact` follows the laws to rounding and "
+        "keeps every foot inside to 1e-9 m, for all masses, speeds, spins and steps tried. `pymunk` conserves momentum "
+        "and energy as well, but a foot may be up to 1 m in a wall at the end of a step; a step in which it would move "
+        "further raises an error."
     )
 
 

@@ -102,7 +102,7 @@ def test_differences_are_computed_within_passes_and_noise_is_reported() -> None:
     ns = {"plain": [100.0, 200.0, 100.0] * 2, "with": [110.0, 220.0, 900.0, 110.0, 220.0, 50.0]}
     rates = {name: [1e9 / value for value in values] for name, values in ns.items()}
     assert costs.in_rounds(rates, 3, {"with": 1.0, "plain": -1.0}) == pytest.approx([20.0, 10.0])
-    assert costs.cell([20.0, 10.0], 100.0) == "+15 ns (+15%)"
+    assert costs.cell([20.0, 10.0], 100.0) == "+15 (+15%)"
     assert costs.cell([-1.0, 2.0], 100.0) == "below noise"
 
 

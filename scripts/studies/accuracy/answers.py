@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from textwrap import fill
 from typing import Any
 
 from scripts.studies.accuracy.engines import ENGINES
@@ -33,7 +34,7 @@ def words(record: Record) -> dict[str, Any]:
         ),
         "settings": settings_table(record),
         "machine": record["made"].get("engine_costs", "").split(";")[0],
-        "matter": json.dumps({"substeps": 4, **ENGINES["matter.js"].best}),
+        "matter": fill(json.dumps({"substeps": 4, **ENGINES["matter.js"].best}), 96, subsequent_indent="  "),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import statistics
 from collections.abc import Mapping, Sequence
@@ -111,7 +110,7 @@ def cell(values: Sequence[float] | None, plain: float) -> str:
         return "below noise"
     middle = statistics.median(values)
     share = middle / plain
-    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ns ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
+    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
 
 
 def filled(record: study.Record) -> dict[str, Any]:
@@ -120,7 +119,6 @@ def filled(record: study.Record) -> dict[str, Any]:
     plain, on_top, impacts = _plain(results), results["on_top"], results["impacts"]
     steps, more = results["loss"]["steps"], impacts["long arm"] - impacts["usual"]
     frame, function = (rounded(statistics.median(on_top[what][PYMUNK])) for what in (FRAME, FUNCTION))
-    resting = [statistics.median(steps[kind][EXACT]) / 1e3 for kind in these.RESTING]
     single = {what: costs for what, costs in on_top.items() if set(costs) != {BATCH}}
     small = [
         what
@@ -136,14 +134,13 @@ def filled(record: study.Record) -> dict[str, Any]:
         "frame": frame,
         "function": function,
         "on_top": table(
-            ("on top of a plain step", *MODELS),
-            [["**a plain step**", *(f"**{figure(plain[model])} ns**" for model in MODELS)], *rows],
+            ("on top of a plain step [ns]", *MODELS),
+            [["**a plain step**", *(f"**{figure(plain[model])}**" for model in MODELS)], *rows],
         ),
         "small": "; ".join(small),
         "impacts": impacts,
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
-        "in_batches": table(("on top of a plain step, in a batch only", BATCH), only),
-        "held": f"{math.floor(min(resting))} to {math.ceil(max(resting))}",
+        "in_batches": table(("on top of a plain step, in a batch only [ns]", BATCH), only),
         "loss": _loss_table(steps, results["loss"]["impacts"]),
     }
 
@@ -153,16 +150,12 @@ def _plain(results: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _loss_table(loss: Figures, impacts: Mapping[str, float]) -> str:
-    """Times of steps of flight, of bounces with loss and of rest, also over the time of flight, within rounds."""
+    """Times of steps of flight, of bounces with loss and of rest."""
     rows = []
     for kind, times in loss.items():
-        rows.append([kind, figure(impacts[kind])])
-        for model in (EXACT, BATCH, DERIVED):
-            ratios = (one / other for one, other in zip(times[model], loss[these.FLIGHT][model], strict=True))
-            rows[-1] += [f"{figure(statistics.median(times[model]) / 1e3)} µs", figure(statistics.median(ratios))]
-    heads = ["a step of exact", "impacts in it"]
-    heads += [head for what in ("contact model alone", "in a batch", DERIVED) for head in (what, "of a flight")]
-    return table(heads, rows)
+        spent = (figure(statistics.median(times[model]) / 1e3) for model in (EXACT, BATCH, DERIVED))
+        rows.append([kind, figure(impacts[kind]), *spent])
+    return table(("a step of exact [µs]", "impacts in it", "contact model alone", "in a batch", DERIVED), rows)
 
 
 STUDY = study.Study(

@@ -144,7 +144,7 @@ def filled(record: study.Record) -> dict[str, Any]:
     ]
     return {
         "printed": record["printed"],
-        "columns": camera.COLUMNS,
+        "columns": camera.COLUMNS.replace(",x_jack", ",\\\nx_jack"),  # a line of the site has 100 characters
         "lengths": lengths_table(record["lengths"]),
         "files": "\n\n".join(files),
         "people": people_table(record["people"]),

@@ -91,10 +91,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "reached": earned["spin"]["planner"] / record["spin_bound"],
         "fast": [0.5 * fast, these.rattle_at(0.5 * fast), these.rattle_at(fast)],
         "starts": these.STARTS,
-        "chirps": table(
-            ("task", "amplitude [N m]", "first frequency [Hz]", "rate [Hz/s]"),
-            [(task, f"{d['amplitude']:,.0f}", f"{d['start_frequency']:g}", f"{d['rate']:g}") for task, d in drives],
-        ),
+        "chirps": ", ".join(f"{one['start_frequency']:g} Hz on {task}" for task, one in drives),
         **_across(record["across"]),
         "commits": ", ".join(sorted({row["commit"] for row in rows})),
         "machines": "; ".join(sorted({row["machine"] for row in rows})),

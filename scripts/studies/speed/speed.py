@@ -88,14 +88,14 @@ def with_earlier(new: study.Record, stored: study.Record) -> study.Record:
 
 def _section(results: Mapping[str, Any]) -> str:
     """The tables of a part: rates and ratios; those of an earlier run last."""
-    rates = [[name, *_cells(values)] for name, values in results["rates"].items()]
-    ratios = [[what, *_cells(values)] for what, values in all_ratios(results).items()]
+    rates = [[name, figure(statistics.median(values))] for name, values in results["rates"].items()]
+    ratios = [[what, *_cells(values)] for what, values in results["ratios"].items()]
+    ratios += [[f"{what} (earlier, see below)", *_cells(one["values"])] for what, one in results["kept"].items()]
     earlier = [
-        f"Not installed here, and kept from an earlier run: {what}. {one['made']}"
-        for what, one in results["kept"].items()
+        f"Not installed here, and measured earlier: {what}. {one['made']}" for what, one in results["kept"].items()
     ]
     lines = [
-        table(("what", "per second", "smallest to largest"), rates),
+        table(("what", "per second"), rates),
         table(("ratio", "median", "smallest to largest"), ratios),
         *earlier,
     ]
@@ -103,14 +103,8 @@ def _section(results: Mapping[str, Any]) -> str:
 
 
 def _cells(values: list[float]) -> list[str]:
-    """The median, and the extremes of two or more values."""
-    extremes = f"{figure(min(values))} to {figure(max(values))}" if len(values) > 1 else ""
-    return [figure(statistics.median(values)), extremes]
-
-
-def all_ratios(results: Mapping[str, Any]) -> Rates:
-    """The ratios of this run and of an earlier one."""
-    return {**results["ratios"], **{what: earlier["values"] for what, earlier in results["kept"].items()}}
+    """The median, and the extremes."""
+    return [figure(statistics.median(values)), f"{figure(min(values))} to {figure(max(values))}"]
 
 
 def filled(results: study.Record) -> dict[str, Any]:
