@@ -84,6 +84,7 @@ _DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of he
 _FAINT = 1e-9  # of the largest multiplier at held feet: a smaller acceleration counts as 0
 _PULL = 1e-12  # of the largest power of the forces in a stretch: a wall may pull that much before the foot is released
 _ROUNDED = 4e-16  # of L: rounding of a gap
+_PATIENT = 1000.0  # evaluations of a force before its least step
 
 
 def bias_acceleration(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
@@ -409,7 +410,8 @@ def first_release(memory: Workspace, count: int, length: float) -> tuple[float, 
 def release_time(memory: Workspace, contact: int, length: float, peak: float) -> float:
     """When a held foot is released [s]: the first time at which its force is -``_PULL`` / 2 of the ``peak`` or less.
 
-    Infinity if there is none in the stretch, and also if the step's gap evaluations are exhausted.
+    Infinity if there is none in the stretch, and also if the step's gap evaluations are exhausted. A force near 0 that
+    hardly changes is followed in at least 64ths of the stretch after ``_PATIENT`` evaluations.
     """
     powers = memory.held.series[FORCE + contact]
     curvature = 0.0
@@ -420,7 +422,7 @@ def release_time(memory: Workspace, contact: int, length: float, peak: float) ->
         least -= abs(powers[k])
     if least > 0.0:
         return math.inf
-    margin, u = _PULL * peak, 0.0
+    margin, u, patient = _PULL * peak, 0.0, memory.evaluations + _PATIENT
     while memory.evaluations <= MOST_WORK:
         force, slope = powers[DEGREE], 0.0
         for k in range(DEGREE - 1, -1, -1):
@@ -429,7 +431,10 @@ def release_time(memory: Workspace, contact: int, length: float, peak: float) ->
         if force + margin <= 0.5 * margin:
             return u * length
         memory.evaluations += 1.0
-        u += parabola_root(force + margin, slope, curvature)
+        step = parabola_root(force + margin, slope, curvature)
+        if memory.evaluations > patient:
+            step = max(step, 1.0 / 64.0)
+        u += step
         if not u <= 1.0:
             return math.inf
     return math.inf

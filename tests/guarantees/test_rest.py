@@ -65,3 +65,16 @@ def test_a_rattle_is_not_mistaken_for_rest(monkeypatch: pytest.MonkeyPatch) -> N
     assert guarded[2] == without[2]
     monkeypatch.setattr(kernel, "is_chattering", lambda n, w: bool(w.evaluations > 1000))
     assert not np.array_equal(plain_step(scene, state, 0.005, 0.0)[1], without[1])
+
+
+def test_a_wall_that_hardly_pushes_takes_little_work() -> None:
+    # Three feet hold the jack in a heavy box that turns freely. The force at one is 0 to rounding all along.
+    scene = Scene(restitution=0.5, gravity=0.0, drive=None, box_mass=1e9, box_inertia=36e9)
+    simulator = ExactSimulator(scene)
+    x, y, angle = 1.8663111704140243, -7.248884151870804, 81.93339792361094
+    poses = [1.7145655509994085e-06, 3.3241596373226626e-07, 81.1479997602135, x, y, angle]
+    omega = 0.19999999939967336
+    rates = [-1.5647929887128605e-09, -6.930475574247976e-10, omega, 1.4497768909408617, 0.37326188935625176, omega]
+    simulator.reset(np.array(poses + rates))
+    simulator.step(0.02, torque=0.0)
+    np.testing.assert_allclose(simulator.state[[8, 11]], omega, rtol=1e-9)
