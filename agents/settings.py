@@ -204,6 +204,10 @@ _TORQUES: dict[str, Any] = {
     **_REPEATED, "action": "torque", "action_repeat": 4, "total_steps": 4_000_000, "num_envs": 1024, "epochs": 5,
     "gamma": 0.99, "hidden_units": (128, 128),
 }  # fmt: skip
+_RATTLE: dict[str, Any] = {  # rollouts of a whole episode, and more exploration
+    **_TORQUES, "observation": "state", "num_envs": 256, "rollout_steps": 125, "batch_size": 1000, "gae_lambda": 0.95,
+    "initial_log_std": 0.0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -272,7 +276,8 @@ class TrainSettings(EnvSettings):
         action = settings.setdefault("action", "landing" if settings.get("task", cls.task) == "juggle" else "torque")
         pictures = str(settings.get("observation", "")).startswith("pixels")
         by_bounce = settings.get("action_repeat", None if pictures or action != "landing" else "bounce") == "bounce"
-        repeated = (_PICTURES if pictures else _REPEATED) if action == "landing" else _TORQUES
+        torques = _RATTLE if settings.get("task") == "rattle" else _TORQUES
+        repeated = (_PICTURES if pictures else _REPEATED) if action == "landing" else torques
         return cls(**({} if by_bounce else repeated) | settings)
 
     @classmethod

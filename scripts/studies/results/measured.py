@@ -65,7 +65,7 @@ def learning(runs: str, task: str, seed: int, episodes: int) -> dict[str, Any]:
     settings = dataclasses.replace(read_settings(SHIPPED / f"{task}-ppo"), seed=seed)
     run = run_of(Path(runs), task, seed)
     trained_in(run, settings, progress=False)
-    curve, seconds = read_evaluations(run, settings.eval_episodes), read_json(run / TIME)["seconds"]
+    curve, seconds = read_evaluations(run, settings.eval_episodes), read_json(run / TIME)["processor_seconds"]
     return {
         "task": task,
         "seed": seed,
