@@ -251,10 +251,11 @@ def minimise(
             longest = share
         else:
             share *= _SHORTER
-            if trial is not None and share < _BLOCKED:
+            last |= share < _BLOCKED
+            if trial is not None:
                 more = trial.residuals**2 - (rows.residuals + share / _SHORTER * step.change) ** 2
                 excess = np.bincount(rows.window, more, windows)
-                blocking, last = np.flatnonzero(excess > _BLOCKING * excess.max()), True
+                blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
             step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
             away = float(np.linalg.norm(Chain(rows, windows).information() @ step.fields))

@@ -6,8 +6,6 @@ rests. Rows in which the jack is far off the fitted motion are left out.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ import numpy as np
 from jackbox_env.measure.flights import Guess, guess_of, starts_of
 from jackbox_env.measure.recordings import state_at
 from jackbox_env.measure.search import FAR, MOST_BAD, MOST_SKIPPED, Search
-from jackbox_env.measure.shooting import Window, end_state, next_start, next_window
+from jackbox_env.measure.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
 from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array
 
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
@@ -68,9 +66,11 @@ def go_on(search: Search) -> None:
         while chain[-1].last < until:
             end = end_state(recording, chain[-1], search.parameters, search.numbers)
             new = next_window(recording, number, chain[-1].last, end, search.parameters, search.numbers)
-            if new is None:
+            if new is None or new.last > until:
                 break
-            chain[-1].linked, new.last = True, min(new.last, until)
+            if not followed(new, motion(recording, new, search.parameters, search.numbers), MOST_IMPACTS):
+                break
+            chain[-1].linked = True
             chain.append(new)
             if not search.fit_block(chain[-search.block :], free=False):
                 del chain[-1]
@@ -154,28 +154,22 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
 
 
 def _cut_first(search: Search, number: int) -> None:
-    """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
+    """Cut the first recording from several angles of the jack if its own was not observed; keep the furthest.
+
+    None is tried after one that gets to the recording's end.
+    """
+    first, numbers = state_at(search.recordings[number]), search.numbers
     furthest, best = -1, (search.numbers, search.windows, 0)
-    for numbers, state in list(_first_guesses(search, number)):
+    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
         search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
         search.progress.reset()
-        complete = _cut(search, number, state)
+        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
         covered = sum(window.last - window.first for window in search.windows)
         if covered > furthest:
             furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
         if complete:
             break
     search.numbers, search.windows, search.resting_steps[number] = best
-
-
-def _first_guesses(search: Search, number: int) -> Iterator[tuple[Array, Array]]:
-    """Guesses of the fields' numbers and of the first state."""
-    first, numbers, positive = state_at(search.recordings[number]), search.numbers, search.parameters.logarithmic
-    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
-        yield numbers, first + angle * np.eye(12)[THETA_JACK]
-    for factor in (0.7, 1.4):
-        scaled = np.clip(numbers * factor, 0.0, search.parameters.high)
-        yield np.where(positive, numbers + math.log(factor), scaled), first
 
 
 def _cut(search: Search, number: int, state: Array) -> bool:

@@ -168,7 +168,7 @@ def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
 
 
 def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
-    lossy = LAB.changed(restitution=0.6)
+    lossy = LAB.changed(restitution=0.7)
     recording = filmed(lossy, seconds=8.0)  # the jack rests for most of them
     fits = [fit(recording, FIELDS, start) for start in (far(lossy), lossy)]
     for fitted in fits:
