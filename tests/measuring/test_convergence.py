@@ -11,8 +11,9 @@ from jackbox_env import Recording, Scene, fit, rollout
 from jackbox_env.commands.fit import read_recording
 from jackbox_env.measure import fitting, search
 from jackbox_env.measure.chain import Rows, minimise
+from jackbox_env.measure.flights import flights_of
 from jackbox_env.measure.residuals import jumps
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, units
 from jackbox_env.tools.command_line import ROOT
 from tests.states import Array
 
@@ -129,6 +130,60 @@ def test_a_window_that_jumps_blocks_a_search_and_is_named() -> None:
     assert not ended
     assert blocking.tolist() == [1]
     assert unknowns[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_window_in_which_a_search_crawls_is_named() -> None:
+    def evaluate(unknowns: Array) -> Rows:
+        """Two windows that want x = 1; the second is much steeper and wants y = sin(30 x), a valley that winds."""
+        (x, y), jacobian = unknowns[:2], np.zeros((26, 26))
+        jacobian[0, 24], jacobian[13, 24:] = 1.0, (-3e4 * np.cos(30.0 * x), 1e3)
+        jacobian[1:13, :12], jacobian[14:, :12] = np.eye(12), np.eye(12)
+        residuals = np.concatenate([[x - 1.0], unknowns[2:14], [1e3 * (y - np.sin(30.0 * x))], unknowns[14:]])
+        return Rows(residuals, jacobian, np.zeros(26, np.intp), np.repeat([0, 1], 13))
+
+    _, ended, blocking = minimise(evaluate, np.zeros(26), 2, 6, np.full(2, -9.0), np.full(2, 9.0))
+    assert not ended
+    assert blocking.tolist() == [1]
+
+
+def test_a_window_that_cannot_be_followed_ends_a_search_and_is_named() -> None:
+    recording = filmed(LAB)
+    windows = [Window(0, first, first + 10, start=np.zeros(12)) for first in (0, 10, 20)]
+    windows[1].start[3] = 2.0 * LAB.box_half_width  # the jack is outside
+    shooting = Shooting([recording], Parameters(("jack_mass",), LAB), windows)
+    assert shooting.rows(shooting.unknowns(np.log([LAB.jack_mass])), np.ones(13), 1.0) is None
+    assert shooting.not_followed == [1]
+    evaluated = [0]
+
+    def evaluate(unknowns: Array) -> Rows | None:
+        """Wants x = 1, and no step from 0 can be followed."""
+        evaluated[0] += 1
+        jacobian = np.zeros((13, 25))
+        jacobian[0, 24], jacobian[1:, :12] = 1.0, np.eye(12)
+        rows = Rows(unknowns - np.eye(13)[0], jacobian, np.zeros(13, np.intp), np.zeros(13, np.intp))
+        return None if unknowns.any() else rows
+
+    assert not minimise(evaluate, np.zeros(13), 1, 60, np.array([-9.0]), np.array([9.0]))[1]
+    assert evaluated[0] < 7
+
+
+def test_rest_is_no_flight() -> None:
+    lossy, noise = LAB.changed(restitution=0.6), np.tile([3e-4, 3e-4, 4e-3], 2)
+    flights = flights_of(filmed(lossy, seconds=8.0), lossy, noise)  # rests after a second
+    assert flights is not None
+    assert flights.first[flights.lasting].tolist() == [0]
+
+
+def test_windows_have_two_rows_for_each_impact() -> None:
+    lossy = LAB.changed(restitution=0.6)
+    recording, parameters = filmed(lossy), Parameters(FIELDS, lossy)
+    state, numbers = np.zeros(12), parameters.of(lossy)
+    state[3:6], state[9:] = (0.0, 0.03, 0.3), (0.2, 0.0, 1.0)
+    before = motion(recording, Window(0, 0, 34, start=state), parameters, numbers)
+    assert before is not None
+    for last, enough in ((37, False), (38, True)):  # impacts at rows 35.4 and 36.1
+        window = Window(0, 34, last, start=before.states[-1])
+        assert followed(window, motion(recording, window, parameters, numbers), most=4) == enough
 
 
 def test_a_search_follows_a_narrow_curved_valley() -> None:
