@@ -17,6 +17,7 @@ from jackbox_env.measure.shooting import MOST_IMPACTS, Window, end_state, follow
 from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array
 
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
+_LEAST = 4  # steps of such a share
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
@@ -95,9 +96,7 @@ def cut_all(search: Search) -> None:
     known = [[one] for one in guesses if one is not None]
     candidates = [_combined(search, some) for some in ([one for (one,) in known], *(known if len(known) > 1 else ()))]
     furthest, best = -1, (candidates[0][0], candidates[0][1], list[Window](), list[Window]())
-    for numbers, width, complete in candidates:
-        if not complete:
-            continue
+    for numbers, width in candidates if known else ():
         search.numbers, search.first_width, search.windows, search.left_out = numbers, width, [], []
         for number, guess in enumerate(guesses):
             if guess is not None:
@@ -128,7 +127,7 @@ def _cut_others(search: Search) -> None:
     search.link()
 
 
-def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array, bool]:
+def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array]:
     """The fields' numbers by the surest of guesses, their widths, and whether all fields are determined."""
     scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
     for guess in guesses:
@@ -139,7 +138,7 @@ def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array, bool]
     if "restitution" in sure:
         sure["restitution"] = min(sure["restitution"], 1.0)
     numbers = np.clip(search.parameters.of(scene.changed(**sure)), search.parameters.low, search.parameters.high)
-    return numbers, 3.0 * deviations, len(sure) == len(fields)
+    return numbers, 3.0 * deviations
 
 
 def _cut_between(search: Search, number: int, guess: Guess) -> None:
@@ -190,8 +189,8 @@ def _cut(search: Search, number: int, state: Array) -> bool:
             search.windows[-1].linked = True
         search.windows.append(window)
         whole, explained = window.last, _fit_last(search)
-        for share in () if explained else _SHORTENED:
-            search.windows[-1] = replace(window, last=first + max(1, round(share * (whole - first))), start=end)
+        for share in () if explained or whole - first < 2 * _LEAST else _SHORTENED:
+            search.windows[-1] = replace(window, last=first + max(_LEAST, round(share * (whole - first))), start=end)
             explained = _fit_last(search)
             if explained:
                 break
