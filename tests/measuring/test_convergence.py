@@ -9,7 +9,7 @@ import pytest
 
 from jackbox_env import Recording, Scene, fit, rollout
 from jackbox_env.commands.fit import read_recording
-from jackbox_env.measure import fitting, search
+from jackbox_env.measure import fitting, outcome, search
 from jackbox_env.measure.chain import Rows, minimise
 from jackbox_env.measure.flights import flights_of
 from jackbox_env.measure.residuals import jumps
@@ -186,6 +186,20 @@ def test_windows_have_two_rows_for_each_impact() -> None:
         assert followed(window, motion(recording, window, parameters, numbers), most=4) == enough
 
 
+def test_held_out_windows_are_judged_by_the_fit_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    covariances = list[Array]()
+
+    def studentised(_: Rows, covariance: Array) -> Array:
+        covariances.append(covariance)
+        return np.zeros(1)
+
+    monkeypatch.setattr(outcome, "studentised", studentised)
+    fitted = fit(filmed(LAB, 1.0), FIELDS, LAB)
+    low, high = fitted.intervals["restitution"]
+    assert len(covariances) == 1
+    assert np.sqrt(covariances[0][2, 2]) > 1.5 * (high - low) / 3.92
+
+
 def test_a_search_follows_a_narrow_curved_valley() -> None:
     evaluations = [0]
 
@@ -220,6 +234,13 @@ def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
     lost = [f"row {row}: x_jack and y_jack are 0, as of a lost frame" for row in range(71, 75)]
     assert {*lost} <= {*fitted.bad_rows}, fitted.bad_rows
     assert len(fitted.bad_rows) <= 7
+
+
+def test_impacts_that_determine_only_some_fields_lead_to_all() -> None:
+    fitted = fit(filmed(LAB, 1.3, seed=1, jack=(0.03, 0.0, 0.5, 0.3, -0.2, 2.0)), FIELDS, far(LAB))
+    assert fitted.problems == ()
+    for name in FIELDS:
+        assert getattr(fitted.scene, name) == pytest.approx(getattr(LAB, name), rel=0.01)
 
 
 def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
