@@ -85,8 +85,8 @@ def go_on(search: Search) -> None:
 def cut_all(search: Search) -> None:
     """Cut all recordings into windows.
 
-    Between flights, if impacts determine the fields: from the guess of all recordings together, or from the one of a
-    single recording if that explains more. Recordings without windows are then cut one step after the other.
+    Between flights, if there are any: from the guess of all recordings together, or from the one of a single recording
+    if that explains more. Recordings without windows are then cut one step after the other.
     """
     scene, fields = search.parameters.start, search.parameters.fields
     guesses = [
@@ -128,7 +128,7 @@ def _cut_others(search: Search) -> None:
 
 
 def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array]:
-    """The fields' numbers by the surest of guesses, their widths, and whether all fields are determined."""
+    """The fields' numbers by the surest of guesses, or the start's, and their widths."""
     scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
     for guess in guesses:
         for name, value in guess.values.items():

@@ -1,9 +1,9 @@
 """Fit fields of a scene to recordings, with confidence intervals.
 
-``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.cutting`): between the middles of flights, if these
-determine the fields, else one after the other, each fitted with the few before it. Then it fits all windows together
-(:mod:`jackbox_env.measure.search`), while it tightens the links between them and estimates the noise, and goes on from
-there to where the jack rests. Intervals and problems come last (:mod:`jackbox_env.measure.outcome`).
+``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.cutting`): between the middles of flights, if there
+are any, else one after the other, each fitted with the few before it. Then it fits all windows together
+(:mod:`jackbox_env.measure.search`), goes on from there to where the jack rests, tightens the links between windows and
+estimates the noise. Intervals and problems come last (:mod:`jackbox_env.measure.outcome`).
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ class Search:
     def solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
         """Optimise the windows' starts, and the fields too if they are ``free``, while work is left.
 
-        Returns whether the search ended, and the windows that block it.
+        Returns whether the search ended, and the windows that block it or that the model could not follow at last.
         """
         fixed = np.zeros(0) if free else self.numbers
         first, noise, scaled_slack = shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack)
