@@ -204,7 +204,8 @@ def minimise(
     A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
     that stalls has not ended: the linear model still predicts a decrease, which no step brings. It stalls where a
     window's motion jumps or has a kink, because two impacts change their order there, or because one leaves the window.
-    However short a step is, the window's squares are then more than predicted. It is returned as blocking.
+    However short a step is, the window's squares are then more than predicted. It is returned as blocking; if
+    the search did not end in ``most`` steps, so is the one for which the last of them failed.
 
     Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978).
     A full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
@@ -251,10 +252,11 @@ def minimise(
             longest = share
         else:
             share *= _SHORTER
-            if trial is not None and share < _BLOCKED:
+            last |= share < _BLOCKED
+            if trial is not None:
                 more = trial.residuals**2 - (rows.residuals + share / _SHORTER * step.change) ** 2
                 excess = np.bincount(rows.window, more, windows)
-                blocking, last = np.flatnonzero(excess > _BLOCKING * excess.max()), True
+                blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
             step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
             away = float(np.linalg.norm(Chain(rows, windows).information() @ step.fields))

@@ -6,8 +6,6 @@ rests. Rows in which the jack is far off the fitted motion are left out.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +13,11 @@ import numpy as np
 from jackbox_env.measure.flights import Guess, guess_of, starts_of
 from jackbox_env.measure.recordings import state_at
 from jackbox_env.measure.search import FAR, MOST_BAD, MOST_SKIPPED, Search
-from jackbox_env.measure.shooting import Window, end_state, next_start, next_window
+from jackbox_env.measure.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
 from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array
 
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
+_LEAST = 4  # steps of such a share
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
@@ -68,9 +67,11 @@ def go_on(search: Search) -> None:
         while chain[-1].last < until:
             end = end_state(recording, chain[-1], search.parameters, search.numbers)
             new = next_window(recording, number, chain[-1].last, end, search.parameters, search.numbers)
-            if new is None:
+            if new is None or new.last > until:
                 break
-            chain[-1].linked, new.last = True, min(new.last, until)
+            if not followed(new, motion(recording, new, search.parameters, search.numbers), MOST_IMPACTS):
+                break
+            chain[-1].linked = True
             chain.append(new)
             if not search.fit_block(chain[-search.block :], free=False):
                 del chain[-1]
@@ -84,8 +85,8 @@ def go_on(search: Search) -> None:
 def cut_all(search: Search) -> None:
     """Cut all recordings into windows.
 
-    Between flights, if impacts determine the fields: from the guess of all recordings together, or from the one of a
-    single recording if that explains more. Recordings without windows are then cut one step after the other.
+    Between flights, if there are any: from the guess of all recordings together, or from the one of a single recording
+    if that explains more. Recordings without windows are then cut one step after the other.
     """
     scene, fields = search.parameters.start, search.parameters.fields
     guesses = [
@@ -95,9 +96,7 @@ def cut_all(search: Search) -> None:
     known = [[one] for one in guesses if one is not None]
     candidates = [_combined(search, some) for some in ([one for (one,) in known], *(known if len(known) > 1 else ()))]
     furthest, best = -1, (candidates[0][0], candidates[0][1], list[Window](), list[Window]())
-    for numbers, width, complete in candidates:
-        if not complete:
-            continue
+    for numbers, width in candidates if known else ():
         search.numbers, search.first_width, search.windows, search.left_out = numbers, width, [], []
         for number, guess in enumerate(guesses):
             if guess is not None:
@@ -128,8 +127,8 @@ def _cut_others(search: Search) -> None:
     search.link()
 
 
-def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array, bool]:
-    """The fields' numbers by the surest of guesses, their widths, and whether all fields are determined."""
+def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array]:
+    """The fields' numbers by the surest of guesses, or the start's, and their widths."""
     scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
     for guess in guesses:
         for name, value in guess.values.items():
@@ -139,7 +138,7 @@ def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array, bool]
     if "restitution" in sure:
         sure["restitution"] = min(sure["restitution"], 1.0)
     numbers = np.clip(search.parameters.of(scene.changed(**sure)), search.parameters.low, search.parameters.high)
-    return numbers, 3.0 * deviations, len(sure) == len(fields)
+    return numbers, 3.0 * deviations
 
 
 def _cut_between(search: Search, number: int, guess: Guess) -> None:
@@ -154,28 +153,22 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
 
 
 def _cut_first(search: Search, number: int) -> None:
-    """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
+    """Cut the first recording from several angles of the jack if its own was not observed; keep the furthest.
+
+    None is tried after one that gets to the recording's end.
+    """
+    first, numbers = state_at(search.recordings[number]), search.numbers
     furthest, best = -1, (search.numbers, search.windows, 0)
-    for numbers, state in list(_first_guesses(search, number)):
+    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
         search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
         search.progress.reset()
-        complete = _cut(search, number, state)
+        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
         covered = sum(window.last - window.first for window in search.windows)
         if covered > furthest:
             furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
         if complete:
             break
     search.numbers, search.windows, search.resting_steps[number] = best
-
-
-def _first_guesses(search: Search, number: int) -> Iterator[tuple[Array, Array]]:
-    """Guesses of the fields' numbers and of the first state."""
-    first, numbers, positive = state_at(search.recordings[number]), search.numbers, search.parameters.logarithmic
-    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
-        yield numbers, first + angle * np.eye(12)[THETA_JACK]
-    for factor in (0.7, 1.4):
-        scaled = np.clip(numbers * factor, 0.0, search.parameters.high)
-        yield np.where(positive, numbers + math.log(factor), scaled), first
 
 
 def _cut(search: Search, number: int, state: Array) -> bool:
@@ -196,8 +189,8 @@ def _cut(search: Search, number: int, state: Array) -> bool:
             search.windows[-1].linked = True
         search.windows.append(window)
         whole, explained = window.last, _fit_last(search)
-        for share in () if explained else _SHORTENED:
-            search.windows[-1] = replace(window, last=first + max(1, round(share * (whole - first))), start=end)
+        for share in () if explained or whole - first < 2 * _LEAST else _SHORTENED:
+            search.windows[-1] = replace(window, last=first + max(_LEAST, round(share * (whole - first))), start=end)
             explained = _fit_last(search)
             if explained:
                 break

@@ -1,9 +1,9 @@
 """Fit fields of a scene to recordings, with confidence intervals.
 
-``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.cutting`): between the middles of flights, if these
-determine the fields, else one after the other, each fitted with the few before it. Then it fits all windows together
-(:mod:`jackbox_env.measure.search`), while it tightens the links between them and estimates the noise, and goes on from
-there to where the jack rests. Intervals and problems come last (:mod:`jackbox_env.measure.outcome`).
+``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.cutting`): between the middles of flights, if there
+are any, else one after the other, each fitted with the few before it. Then it fits all windows together
+(:mod:`jackbox_env.measure.search`), goes on from there to where the jack rests, tightens the links between windows and
+estimates the noise. Intervals and problems come last (:mod:`jackbox_env.measure.outcome`).
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ except ImportError as error:
     raise ImportError(check.extra_needed("jackbox_env.fit", "tqdm", "train")) from error
 
 _LEAST_SEEN = 10  # rows and impacts; fewer determine no field and no noise
-_FIRST_SLACKS = 0.3, 0.1, 0.03, 0.01  # before windows are added that follow
-_MAY_DROP, _MOST_DROPPED = 2, 0.1  # windows, or their share, that may turn out not to fit as links are tightened
+_MAY_DROP, _MOST_DROPPED = 2, 0.2  # windows, or their share, that may turn out not to fit as links are tightened
 
 
 def fit(
@@ -108,10 +107,6 @@ def _fitted(search: Search) -> Fit:
     search.settle(LINK_SLACKS[0])
     leave_out_bad_rows(search)
     search.without_misfits(LINK_SLACKS[0], len(search.windows))
-    resume(search)
-    _refuse_nothing(search)
-    for slack in _FIRST_SLACKS:
-        search.settle(slack)
     resume(search)
     go_on(search)
     search.settle(LINK_SLACKS[0])

@@ -46,6 +46,7 @@ _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how
 _ELSEWHERE = 0.05  # half widths
 _LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
+_BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _FEW = 2  # impacts, fewer of which give no ratio
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
 _STRAIGHT = 0.98  # cosine of the angle between a wall's normal and the change of velocity, at least
@@ -92,9 +93,9 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     first = _merged(times, straight[rows, _JACK] / noise[_JACK])
     ends = np.append(first[1:], len(rows))
     least = shortest(recording, scene, noise)
-    lasting = times[ends - 1] - times[first] >= least
     enough = ends - first >= _LEAST_ROWS
     first, ends = first[enough], ends[enough]
+    lasting = times[ends - 1] - times[first] >= least
     lines, scatter = np.full((len(first), RATES, 2), np.nan), 1.0 / np.sqrt(ends - first)
     for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
         within = slice(begin, end)
@@ -105,7 +106,10 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
             if known.sum() >= _LEAST_ROWS:
                 slope, value = np.polyfit(off[known], values[known], 1)
                 lines[index, column] = value - slope * times[within].mean(), slope
-    first, last, lasting = rows[first], rows[ends - 1], lasting[enough]
+        if lasting[index]:
+            bend = np.polyfit(off, straight[rows[within], X_JACK : Y_JACK + 1], 2)[0]
+            lasting[index] = np.hypot(*bend) < _BENT * _fall(scene)
+    first, last = rows[first], rows[ends - 1]
     long, middles = np.flatnonzero(lasting), (first + last) // 2
     if not len(long):
         return None
@@ -119,9 +123,13 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
     """Duration [s] of a flight whose rows give its acceleration to a sixth; what is shorter may be rest."""
-    fall = max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
-    spread = 180.0 * (_FALLING * noise[Y_JACK] / fall) ** 2 * recording.dt
+    spread = 180.0 * (_FALLING * noise[Y_JACK] / _fall(scene)) ** 2 * recording.dt
     return max(_LASTING, float(spread**0.2))
+
+
+def _fall(scene: Scene) -> float:
+    """Half the acceleration of a flight [m/s^2]; without gravity, one that is slow in the box."""
+    return max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
 
 
 def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Array]:

@@ -30,6 +30,7 @@ from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Ar
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
+_UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 
 
@@ -45,7 +46,7 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
     states, covered = search.motions()
     left_out = sum(len(one.states) - 1 for one in search.recordings) - covered
-    residuals = _held_out_residuals(search, covariance)
+    residuals = _held_out_residuals(search)
     unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
     if not any(pushed(one, parameters.start) for one in search.recordings):
         unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
@@ -151,7 +152,7 @@ def _not_followed(search: Search) -> tuple[int, list[float]]:
     return joints, seconds
 
 
-def _held_out_residuals(search: Search, covariance: Array) -> Array:
+def _held_out_residuals(search: Search) -> Array:
     """Studentised residuals of every fifth window, or the last of fewer, in fits without it."""
     numbers, windows = search.numbers.copy(), [replace(one, start=one.start.copy()) for one in search.windows]
     held_out = list(range(4, len(windows), 5)) or [len(windows) - 1][: len(windows) - 1]
@@ -159,7 +160,10 @@ def _held_out_residuals(search: Search, covariance: Array) -> Array:
         return np.zeros(0)
     unlink(windows, held_out)
     rest = [window for index, window in enumerate(windows) if index not in held_out]
-    search.solve(Shooting(search.recordings, search.parameters, rest), LINK_SLACKS[-1])
+    shooting = Shooting(search.recordings, search.parameters, rest)
+    search.solve(shooting, LINK_SLACKS[-1])
+    covariance, unidentified = identified(Chain(search.rows(shooting, LINK_SLACKS[-1]), len(rest)))
+    covariance += _UNKNOWN**2 * unidentified.T @ unidentified
     residuals = []
     for index in held_out:
         alone = Shooting(search.recordings, search.parameters, [windows[index]])

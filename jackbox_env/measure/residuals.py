@@ -17,6 +17,7 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 
 _LAGS = 4  # rows, up to which residuals are compared
+_LEAST_FREE = 0.1  # variance of a residual that is used, over the noise's; less is what the start absorbs
 
 
 def highest_mean_square(count: int) -> float:
@@ -124,7 +125,7 @@ def studentised(rows: Rows, covariance: Array) -> Array:
     basis, jacobian = _column_space(rows.jacobian[:, :WIDTH]), rows.jacobian[:, 2 * WIDTH :]
     jacobian = jacobian - basis @ (basis.T @ jacobian)
     variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
-    usable = (rows.column >= 0) & (variance > 1e-6)
+    usable = (rows.column >= 0) & (variance > _LEAST_FREE)
     result: Array = -rows.residuals[usable] / np.sqrt(variance[usable])
     return result
 

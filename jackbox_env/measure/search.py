@@ -28,6 +28,7 @@ _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unob
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
+_MOST_STEPS = 30  # of a search from near its end; windows that need more block it
 _MOST_IN_HOPS = 3  # impacts between flights that do not follow closely; of more, the order is not certain
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
 # They take about as long as the recordings; most fits that converge need a third.
@@ -76,7 +77,8 @@ class Search:
     def settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
         for _ in range(_MOST_SETTLED):
-            ended, blocking = self.solve(Shooting(self.recordings, self.parameters, self.windows), slack)
+            shooting = Shooting(self.recordings, self.parameters, self.windows)
+            ended, blocking = self.solve(shooting, slack, most=_MOST_STEPS)
             if ended or not 0 < len(blocking) <= len(self.windows) - self.fewest:
                 break
             self.drop(blocking.tolist())
@@ -107,7 +109,7 @@ class Search:
     def solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
         """Optimise the windows' starts, and the fields too if they are ``free``, while work is left.
 
-        Returns whether the search ended, and the windows that block it.
+        Returns whether the search ended, and the windows that block it or that the model could not follow at last.
         """
         fixed = np.zeros(0) if free else self.numbers
         first, noise, scaled_slack = shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack)
@@ -127,7 +129,7 @@ class Search:
         most = most if self.work > 0.0 else 0
         unknowns, ended, blocking = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
         self.numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
-        return ended, blocking
+        return ended, blocking if len(blocking) else np.array(shooting.not_followed, dtype=np.intp)
 
     def estimate_noise(self, chain: Chain) -> None:
         """Estimate the unknown noise from residuals, with as many degrees of freedom as the unknowns leave."""
@@ -196,8 +198,8 @@ class Search:
         """The fitted motion of each recording, and the number of steps in windows."""
         states, covered = tuple(np.full(one.states.shape, np.nan) for one in self.recordings), 0
         played = motions(self.recordings, self.windows, self.parameters, self.numbers)
-        assert played is not None  # the search has evaluated them here
         for window, modelled in zip(self.windows, played, strict=True):
+            assert modelled is not None  # the search has evaluated it here
             states[window.recording][window.first : window.last + 1] = modelled.states
             covered += window.last - window.first
         return states, covered

@@ -26,6 +26,7 @@ from jackbox_env.simulators import JackLostError
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next
 _SHORTEST = 0.06  # [s] of a window; bounces that pile up leave less
+_ROWS = 2  # for each impact of a window, at least; fewer do not determine the order of impacts
 MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
@@ -99,22 +100,20 @@ def units(scene: Scene) -> Array:
 
 def motions(
     recordings: Sequence[Recording], windows: Sequence[Window], parameters: Parameters, numbers: Array
-) -> list[Motion] | None:
-    """The motions of windows from their starts; None if the model cannot follow one.
+) -> list[Motion | None]:
+    """The motions of windows from their starts; None for those that the model cannot follow.
 
     Windows of about the same length, of a recording, are played in one call: each as long as the longest.
     """
-    groups, results = dict[tuple[int, int], list[int]](), dict[int, Motion]()
+    groups, results = dict[tuple[int, int], list[int]](), dict[int, Motion | None]()
     for index, window in enumerate(windows):
         groups.setdefault((window.recording, (window.last - window.first) // _GROUPED), []).append(index)
     for (recording, _), members in groups.items():
-        together = [windows[index] for index in members]
-        played = _played(recordings[recording], together, parameters, numbers)
-        if played is None and len(together) > 1:  # what comes after a shorter one may be at fault
-            single = [_played(recordings[recording], [window], parameters, numbers) for window in together]
-            played = [one[0] for one in single if one is not None]
-        if played is None or len(played) < len(members):
-            return None
+        played: Sequence[Motion | None] | None = _played(
+            recordings[recording], [windows[index] for index in members], parameters, numbers
+        )
+        if played is None:  # what comes after a shorter one may be at fault
+            played = [motion(recordings[recording], windows[index], parameters, numbers) for index in members]
         results.update(zip(members, played, strict=True))
     return [results[index] for index in range(len(windows))]
 
@@ -167,9 +166,9 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
 
 
 def followed(window: Window, modelled: Motion | None, most: int) -> bool:
-    """Whether a window has derivatives to its end, and at most so many impacts."""
+    """Whether a window has derivatives to its end, and at most so many impacts, each with two rows or more."""
     steps = window.last - window.first
-    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= most
+    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= min(most, steps // _ROWS)
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
@@ -198,6 +197,7 @@ class Shooting:
     ) -> None:  # fmt: skip
         self.recordings, self.parameters, self.windows = recordings, parameters, list(windows)
         self.units, self._prior = units(parameters.start), prior
+        self.not_followed = list[int]()  # windows, at the last unknowns
 
     def unknowns(self, numbers: Array) -> Array:
         """The vector of unknowns: the fields' numbers, and the windows' starts in their units."""
@@ -228,9 +228,10 @@ class Shooting:
             off = (unknowns[:count] - mean) / width
             parts.append(Rows(off, jacobian / width[:, None], np.full(count, LINK), np.zeros(count, np.intp)))
         played = motions(self.recordings, self.windows, self.parameters, numbers)
-        if played is None:
-            return None
+        self.not_followed = [index for index, modelled in enumerate(played) if modelled is None]
         for index, (window, modelled) in enumerate(zip(self.windows, played, strict=True)):
+            if modelled is None:
+                return None
             parts.append(self._observed(index, window, modelled, noise))
             if window.linked:
                 parts.append(self._link(index, modelled, slack))

@@ -9,10 +9,11 @@ import pytest
 
 from jackbox_env import Recording, Scene, fit, rollout
 from jackbox_env.commands.fit import read_recording
-from jackbox_env.measure import fitting, search
+from jackbox_env.measure import fitting, outcome, search
 from jackbox_env.measure.chain import Rows, minimise
+from jackbox_env.measure.flights import flights_of
 from jackbox_env.measure.residuals import jumps
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, units
 from jackbox_env.tools.command_line import ROOT
 from tests.states import Array
 
@@ -131,6 +132,74 @@ def test_a_window_that_jumps_blocks_a_search_and_is_named() -> None:
     assert unknowns[0] == pytest.approx(0.5, abs=0.1)
 
 
+def test_a_window_in_which_a_search_crawls_is_named() -> None:
+    def evaluate(unknowns: Array) -> Rows:
+        """Two windows that want x = 1; the second is much steeper and wants y = sin(30 x), a valley that winds."""
+        (x, y), jacobian = unknowns[:2], np.zeros((26, 26))
+        jacobian[0, 24], jacobian[13, 24:] = 1.0, (-3e4 * np.cos(30.0 * x), 1e3)
+        jacobian[1:13, :12], jacobian[14:, :12] = np.eye(12), np.eye(12)
+        residuals = np.concatenate([[x - 1.0], unknowns[2:14], [1e3 * (y - np.sin(30.0 * x))], unknowns[14:]])
+        return Rows(residuals, jacobian, np.zeros(26, np.intp), np.repeat([0, 1], 13))
+
+    _, ended, blocking = minimise(evaluate, np.zeros(26), 2, 6, np.full(2, -9.0), np.full(2, 9.0))
+    assert not ended
+    assert blocking.tolist() == [1]
+
+
+def test_a_window_that_cannot_be_followed_ends_a_search_and_is_named() -> None:
+    recording = filmed(LAB)
+    windows = [Window(0, first, first + 10, start=np.zeros(12)) for first in (0, 10, 20)]
+    windows[1].start[3] = 2.0 * LAB.box_half_width  # the jack is outside
+    shooting = Shooting([recording], Parameters(("jack_mass",), LAB), windows)
+    assert shooting.rows(shooting.unknowns(np.log([LAB.jack_mass])), np.ones(13), 1.0) is None
+    assert shooting.not_followed == [1]
+    evaluated = [0]
+
+    def evaluate(unknowns: Array) -> Rows | None:
+        """Wants x = 1, and no step from 0 can be followed."""
+        evaluated[0] += 1
+        jacobian = np.zeros((13, 25))
+        jacobian[0, 24], jacobian[1:, :12] = 1.0, np.eye(12)
+        rows = Rows(unknowns - np.eye(13)[0], jacobian, np.zeros(13, np.intp), np.zeros(13, np.intp))
+        return None if unknowns.any() else rows
+
+    assert not minimise(evaluate, np.zeros(13), 1, 60, np.array([-9.0]), np.array([9.0]))[1]
+    assert evaluated[0] < 7
+
+
+def test_rest_is_no_flight() -> None:
+    lossy, noise = LAB.changed(restitution=0.6), np.tile([3e-4, 3e-4, 4e-3], 2)
+    flights = flights_of(filmed(lossy, seconds=8.0), lossy, noise)  # rests after a second
+    assert flights is not None
+    assert flights.first[flights.lasting].tolist() == [0]
+
+
+def test_windows_have_two_rows_for_each_impact() -> None:
+    lossy = LAB.changed(restitution=0.6)
+    recording, parameters = filmed(lossy), Parameters(FIELDS, lossy)
+    state, numbers = np.zeros(12), parameters.of(lossy)
+    state[3:6], state[9:] = (0.0, 0.03, 0.3), (0.2, 0.0, 1.0)
+    before = motion(recording, Window(0, 0, 34, start=state), parameters, numbers)
+    assert before is not None
+    for last, enough in ((37, False), (38, True)):  # impacts at rows 35.4 and 36.1
+        window = Window(0, 34, last, start=before.states[-1])
+        assert followed(window, motion(recording, window, parameters, numbers), most=4) == enough
+
+
+def test_held_out_windows_are_judged_by_the_fit_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    covariances = list[Array]()
+
+    def studentised(_: Rows, covariance: Array) -> Array:
+        covariances.append(covariance)
+        return np.zeros(1)
+
+    monkeypatch.setattr(outcome, "studentised", studentised)
+    fitted = fit(filmed(LAB, 1.0), FIELDS, LAB)
+    low, high = fitted.intervals["restitution"]
+    assert len(covariances) == 1
+    assert np.sqrt(covariances[0][2, 2]) > 1.5 * (high - low) / 3.92
+
+
 def test_a_search_follows_a_narrow_curved_valley() -> None:
     evaluations = [0]
 
@@ -167,8 +236,15 @@ def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
     assert len(fitted.bad_rows) <= 7
 
 
+def test_impacts_that_determine_only_some_fields_lead_to_all() -> None:
+    fitted = fit(filmed(LAB, 1.3, seed=1, jack=(0.03, 0.0, 0.5, 0.3, -0.2, 2.0)), FIELDS, far(LAB))
+    assert fitted.problems == ()
+    for name in FIELDS:
+        assert getattr(fitted.scene, name) == pytest.approx(getattr(LAB, name), rel=0.01)
+
+
 def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
-    lossy = LAB.changed(restitution=0.6)
+    lossy = LAB.changed(restitution=0.7)
     recording = filmed(lossy, seconds=8.0)  # the jack rests for most of them
     fits = [fit(recording, FIELDS, start) for start in (far(lossy), lossy)]
     for fitted in fits:
