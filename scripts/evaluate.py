@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,6 +115,8 @@ def main() -> None:
         name: find_policy(name, settings, arguments.seed, arguments.trust, chosen, arguments.vecnormalize)
         for name in arguments.policy
     }
+    if "torch" in sys.modules:  # small networks are fastest on one thread
+        sys.modules["torch"].set_num_threads(1)
     print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
     rows = []
     for name in arguments.policy:

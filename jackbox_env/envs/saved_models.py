@@ -59,7 +59,8 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
 
     Raises:
         TypeError: the model has no such environment, or its algorithm is of another package.
-        ValueError: there are other wrappers, or environments that differ; or an existing env.json has other contents.
+        ValueError: there are other wrappers, or environments that differ; or an existing env.json has other contents;
+            or an evaluation runs the script for its task, observation or action.
     """
     path = Path(path)
     path = path if path.suffix else path.with_suffix(".zip")
@@ -175,7 +176,11 @@ def _storable_value(name: str, value: Any) -> Any:
 
 
 def _name_of(value: Any) -> str | None:
-    """The name of a built-in object, else ``file.py:name`` or ``module:name``; None if there is none."""
+    """The name of a built-in object, else ``file.py:name`` or ``module:name``; None if there is none.
+
+    Raises:
+        ValueError: its file is being run only for its objects, for an evaluation.
+    """
     for name, one in _BUILTIN.get(type(value), {}).items():
         if one is value:
             return name
@@ -184,6 +189,10 @@ def _name_of(value: Any) -> str | None:
         for name, one in vars(sys.modules.get(module, object)).items():
             if one is value or (isinstance(value, Scene) and isinstance(one, Scene) and one == value):
                 file = getattr(sys.modules[module], "__file__", None) if module == "__main__" else None
+                if module != "__main__" and getattr(sys.modules[module], "__spec__", None) is None:
+                    script = Path(getattr(sys.modules[module], "__file__", None) or module).name
+                    guard = 'if __name__ == "__main__"'
+                    raise ValueError(f"{script} is run for its {name}, so it must train under {guard}")
                 source = str(Path(file).resolve()) if file and file.endswith(".py") else module
                 return None if source == "__main__" else f"{source}:{name}"
     return None

@@ -216,6 +216,23 @@ def test_objects_of_a_script_are_named_by_its_file(tmp_path: Path) -> None:
     assert acting.keywords["fidelity"] is None  # gym.make's default, as in its training
 
 
+def test_a_script_that_trains_when_it_is_run_for_its_objects_saves_nothing(tmp_path: Path) -> None:
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        "from stable_baselines3 import PPO\n"
+        "from jackbox_env import Observation\n"
+        "from jackbox_env.sb3 import make_sb3_vec_env, save_model\n\n"
+        'HEIGHT = Observation(("height",), -1.0, 1.0, lambda scene, state, time: (0.1 * state.y_jack,))\n'
+        f'save_model(PPO("MlpPolicy", make_sb3_vec_env(2, observation=HEIGHT)), "{tmp_path}/model.zip")\n'
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    subprocess.run([sys.executable, script], check=True, env=environment)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(ValueError, match="unguarded.py is run for its HEIGHT, so it must train under if"):
+        find_policy(str(tmp_path / "model.zip"), HERE, trust=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+
+
 def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> None:
     def repeat(path: Path, **more: Any) -> Any:
         return find_policy(str(path), HERE, trust=True, **more).keywords["action_repeat"]

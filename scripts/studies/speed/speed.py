@@ -129,7 +129,7 @@ def filled(results: study.Record) -> dict[str, Any]:
 def for_the_readme(results: study.Record) -> str:
     """The README's sentence on speed."""
     over = over_cart_pole(results["together"])
-    return f"a batch of 1,024 makes [{over} times as many steps](docs/speed.md) as Gymnasium's CartPole"
+    return f"a batch of 1,024 makes [{over} times as many steps](docs/speed.md) as a batch of Gymnasium's CartPole"
 
 
 def over_cart_pole(together: Mapping[str, Any]) -> str:
