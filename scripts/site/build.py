@@ -164,13 +164,15 @@ def _agent(folder: Path) -> dict[str, Any]:
     settings = json.loads((folder / "settings.json").read_text())
     with np.load(folder / "weights.npz") as stored:
         layers = [stored[name] for name in stored.files]  # each layer's weight and bias
+    if settings["observation"] == "state":  # the first numbers of "landing"
+        layers[0] = np.pad(layers[0], ((0, 0), (0, entries.OBSERVED - layers[0].shape[1])))
     weights = np.concatenate([part.ravel() for part in layers])
     scale = float(abs(weights).max()) / 32767.0  # 16 bits a weight keep the page small
     hidden, outputs = layers[0].shape[0], ACTIONS[settings["action"]].size
     sizes = (entries.OBSERVED, hidden), (hidden, hidden), (hidden, outputs)
     expected = [shape for before, after in sizes for shape in ((after, before), (after,))]
-    if settings["observation"] != "landing" or [part.shape for part in layers] != expected:
-        raise ValueError(f"the page plays networks of observation 'landing' and two hidden layers, got {folder}")
+    if settings["observation"] not in ("state", "landing") or [part.shape for part in layers] != expected:
+        raise ValueError(f"the page's networks observe 'state' or 'landing' and have two hidden layers, got {folder}")
     longest, most = repeat_of(settings["action_repeat"], settings["control_dt"])
     return {
         "weights": packed(np.round(weights / scale), "<i2"), "scale": scale, "hidden": hidden, "outputs": outputs,

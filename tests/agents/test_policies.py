@@ -107,9 +107,9 @@ def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pyte
     assert (decided.action, decided.action_repeat, decided.gamma) == ("landing", 20, 0.905)
     assert of_the_command("--action-repeat", "20") == of_the_command("--action_repeat=20") == decided
     assert of_the_command("--action-repeat", "bounce") == TrainSettings()
-    assert TrainSettings.suited(task="rattle", action_repeat=5, gamma=0.9) == replace(
-        torques, task="rattle", action_repeat=5, gamma=0.9
-    )
+    rattle = TrainSettings.suited(task="rattle")
+    assert (rattle.observation, rattle.action, rattle.rollout_steps) == ("state", "torque", 125)
+    assert TrainSettings.suited(task="rattle", action_repeat=5) == replace(rattle, action_repeat=5)
 
 
 # -- trajectories and films --------------------------------------------------------------------------------------------

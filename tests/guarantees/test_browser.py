@@ -156,7 +156,7 @@ def test_the_agent_in_the_page_plays_the_bits_of_the_environment(task: str, open
         truncated = False
         for expected, action in zip(observed, actions, strict=True):
             assert not truncated
-            assert differing(observation, expected) == 0
+            assert differing(observation, expected[: len(observation)]) == 0  # "state": the first numbers of "landing"
             observation, *_, truncated, _ = env.step(action)
         assert truncated
         assert differing(env.state, _numbers(texts[2], "<f8")) == 0
