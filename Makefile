@@ -133,7 +133,7 @@ results: .venv/ready
 learners: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/studies/learners/learners.py --workers 2 --runs runs/learners
 
-# Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 140 s of one core each.
+# Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 180 s of one core each.
 networks: .venv/ready
 	@$(BIN)/python -m agents.training.networks
 

@@ -17,11 +17,14 @@ from jackbox_env import __version__
 from jackbox_env.tools.command_line import ROOT, command_line
 from jackbox_env.tools.files import write_text
 
-INPUTS = 'From the observation `"landing"`, ten numbers of the state and eleven of the next landing,'
+INPUTS = {  # by the observation
+    "state": 'From the observation `"state"`, ten numbers,',
+    "landing": 'From the observation `"landing"`, ten numbers of the state and eleven of the next landing,',
+}
 ORIGINS = {  # what a network is, and how it was trained
-    "ppo": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses {{chosen}}, {{lasting}}.
-PPO trained it for {{total_steps:,}} decisions in {{num_envs}} environments: discount {{gamma}}{{per}}, learning rate {{learning_rate}}, seed {{seed}}; settings.json has the rest. That took {{spent:.0f}} s of one core. Five such trainings, this one and four of other seeds, earn {{lowest:.1f}} to {{highest:.1f}}. `make networks` trains it again.""",  # noqa: E501
-    "distilled": f"""A network with two layers of {{hidden_units[0]}} neurons. {INPUTS} it chooses a torque, for {{action_repeat}} control steps of {{control_dt}} s each time.
+    "ppo": """A network with two layers of {hidden_units[0]} neurons. {inputs} it chooses {chosen}, {lasting}.
+PPO trained it for {total_steps:,} decisions in {num_envs} environments: discount {gamma}{per}, learning rate {learning_rate}, seed {seed}; settings.json has the rest. That took {spent:.0f} s of one core. Five such trainings, this one and four of other seeds, earn {lowest:.1f} to {highest:.1f}. `make networks` trains it again.""",  # noqa: E501
+    "distilled": """A network with two layers of {hidden_units[0]} neurons. {inputs} it chooses a torque, for {action_repeat} control steps of {control_dt} s each time.
 `agents/training/vine.py` tries torques from the same states, plays on by exact rollouts, and makes the better ones more likely by PPO's clipped loss.""",  # noqa: E501
     "juggle-distilled": """A network that evaluates a bounce. The policy predicts one bounce in closed form for many angles and rates of the box, and turns the box to the best.
 `agents/training/distil.py` starts from the planner's value and improves it on states that the policy itself visits.""",  # noqa: E501
@@ -153,6 +156,7 @@ def card(folder: Path, record: dict[str, Any], commit: str) -> str:
     path = facts["policy"] if name == "value" else folder.relative_to(ROOT).as_posix()
     facts |= {"version": __version__, "commit": commit, "path": path}
     facts |= {key: fact for path in folder.glob("*.json") for key, fact in json.loads(path.read_text()).items()}
+    facts["inputs"] = INPUTS.get(facts.get("observation", "landing"), "")
     facts["spent"] = facts.get("processor_seconds", facts.get("seconds", math.nan))  # older trainings had a core alone
     means = [one["mean"] for one in record["learning"] if one["task"] == task]
     facts |= {"lowest": min(means), "highest": max(means), "metrics": "", "rows": ""}

@@ -199,13 +199,17 @@ def test_objects_without_a_name_are_warned_of_and_asked_for(tmp_path: Path) -> N
     assert acting.keywords["observation"] is mine
 
 
+SCRIPT = (
+    "from stable_baselines3 import PPO\n"
+    "from jackbox_env import Observation\n"
+    "from jackbox_env.sb3 import make_sb3_vec_env, save_model\n\n"
+    'HEIGHT = Observation(("height",), -1.0, 1.0, lambda scene, state, time: (0.1 * state.y_jack,))\n'
+)
+
+
 def test_objects_of_a_script_are_named_by_its_file(tmp_path: Path) -> None:
     (tmp_path / "training.py").write_text(
-        "from stable_baselines3 import PPO\n"
-        "from jackbox_env import Observation\n"
-        "from jackbox_env.sb3 import make_sb3_vec_env, save_model\n\n"
-        'HEIGHT = Observation(("height",), -1.0, 1.0, lambda scene, state, time: (0.1 * state.y_jack,))\n'
-        'if __name__ == "__main__":\n'
+        SCRIPT + 'if __name__ == "__main__":\n'
         '    save_model(PPO("MlpPolicy", make_sb3_vec_env(2, observation=HEIGHT)), "model.zip")\n'
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
@@ -219,11 +223,7 @@ def test_objects_of_a_script_are_named_by_its_file(tmp_path: Path) -> None:
 def test_a_script_that_trains_when_it_is_run_for_its_objects_saves_nothing(tmp_path: Path) -> None:
     script = tmp_path / "unguarded.py"
     script.write_text(
-        "from stable_baselines3 import PPO\n"
-        "from jackbox_env import Observation\n"
-        "from jackbox_env.sb3 import make_sb3_vec_env, save_model\n\n"
-        'HEIGHT = Observation(("height",), -1.0, 1.0, lambda scene, state, time: (0.1 * state.y_jack,))\n'
-        f'save_model(PPO("MlpPolicy", make_sb3_vec_env(2, observation=HEIGHT)), "{tmp_path}/model.zip")\n'
+        SCRIPT + f'save_model(PPO("MlpPolicy", make_sb3_vec_env(2, observation=HEIGHT)), "{tmp_path}/model.zip")\n'
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     subprocess.run([sys.executable, script], check=True, env=environment)
