@@ -349,9 +349,7 @@ _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 def _intrinsic(function: Any) -> Any:
     """The compiled counterpart of a function that only compiled code can have, or None."""
-    if function is is_compiled:
-        return bool
-    known = function in (fixed_tuple, packed) or function in _EXAMPLES or function in _SIGNATURES
+    known = function in (fixed_tuple, packed, is_compiled) or function in _EXAMPLES or function in _SIGNATURES
     return _make_intrinsic(function) if known else None
 
 
@@ -367,6 +365,8 @@ def _make_intrinsic(function: Any) -> Any:
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
+    if function is is_compiled:
+        return bool
     if function is fixed_tuple:
         return to_fixed_tuple
 

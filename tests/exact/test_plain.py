@@ -22,7 +22,7 @@ from tests.fingerprints import digest
 def test_plain_python_gives_the_bits_of_the_compiled_code(restitution: float) -> None:
     command = [sys.executable, "-W", "error", "-m", "tests.exact.test_plain", str(restitution)]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    plain = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    plain = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=600)
     assert plain.stdout.split() == played(restitution)
 
 
@@ -62,10 +62,12 @@ def played(restitution: float) -> list[str]:
     assert any(infos["duration"][0] == 0.0 < infos["duration"][1] for *_, infos in decisions)
     chosen = JackInBoxEnv(contact="exact", scene=scene, action="discrete", action_repeat=3)
     chosen.reset(seed=2)
+    lying = rollout(Scene(restitution=0.2, drive=None), -4.4 * np.eye(12)[4] + 0.7 * np.eye(12)[5], np.zeros(60), 0.02)
+    assert lying[0][-1, 11] == pytest.approx(lying[0][-1, 8], abs=1e-12)  # two feet lie on a wall
     results: list[Iterable[object]] = [
         [part for number in range(20) for part in chosen.step(number % 3)[:2]],
         [part for seen, reward, _, _, infos in stepped for part in (seen, reward, infos["state"])],
-        [part for part in rollouts if part is not None],
+        [part for part in (*rollouts, *lying) if part is not None],
         [part for step in alone for part in step],
         [part for seen, reward, _, _, infos in decisions for part in (seen, reward, infos["duration"])],
     ]
