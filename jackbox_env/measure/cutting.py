@@ -6,6 +6,8 @@ rests. Rows in which the jack is far off the fitted motion are left out.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -107,7 +109,7 @@ def cut_all(search: Search) -> None:
         if len({window.recording for window in search.windows}) == len(known):
             break
     search.numbers, search.first_width, search.windows, search.left_out = best
-    search.between_flights = furthest >= 0
+    search.between_flights = furthest > 0 or not np.array_equal(search.numbers, search.parameters.of(scene))
     _cut_others(search)
 
 
@@ -153,22 +155,28 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
 
 
 def _cut_first(search: Search, number: int) -> None:
-    """Cut the first recording from several angles of the jack if its own was not observed; keep the furthest.
-
-    None is tried after one that gets to the recording's end.
-    """
-    first, numbers = state_at(search.recordings[number]), search.numbers
+    """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
     furthest, best = -1, (search.numbers, search.windows, 0)
-    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
+    for numbers, state in list(_first_guesses(search, number)):
         search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
         search.progress.reset()
-        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
+        complete = _cut(search, number, state)
         covered = sum(window.last - window.first for window in search.windows)
         if covered > furthest:
             furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
         if complete:
             break
     search.numbers, search.windows, search.resting_steps[number] = best
+
+
+def _first_guesses(search: Search, number: int) -> Iterator[tuple[Array, Array]]:
+    """Guesses of the fields' numbers and of the first state."""
+    first, numbers, positive = state_at(search.recordings[number]), search.numbers, search.parameters.logarithmic
+    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
+        yield numbers, first + angle * np.eye(12)[THETA_JACK]
+    for factor in (0.7, 1.4):
+        scaled = np.clip(numbers * factor, 0.0, search.parameters.high)
+        yield np.where(positive, numbers + math.log(factor), scaled), first
 
 
 def _cut(search: Search, number: int, state: Array) -> bool:

@@ -105,20 +105,28 @@ def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_o
 
 
 def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
-    """The field that would move furthest if it was fitted, too, and by how many standard deviations."""
-    scene, names = replace(search.parameters.scene(search.numbers)), [*FIELDS]  # in which no inertia follows
-    for name in search.parameters.fields:
-        names.remove(name)
-    parameters, slack = Parameters(names, scene), search.scaled_slack(LINK_SLACKS[-1])
-    shooting = Shooting(search.recordings, parameters, search.windows)
-    shooting.units = search.units
-    others = shooting.rows(shooting.unknowns(parameters.of(scene)), search.noise, slack)
-    if others is None or not names:  # rounding has changed what can be followed
+    """The field that would move furthest if it was fitted, too, and by how many standard deviations.
+
+    Each is tried by itself: an inertia alone, but a mass or a length with the inertias that follow it.
+    """
+    present, slack = search.parameters.scene(search.numbers), search.scaled_slack(LINK_SLACKS[-1])
+    others = [name for name in FIELDS if name not in search.parameters.fields]
+    given = [name for name in others if name not in present.derived]
+    alone = [name for name in others if name in present.derived]
+    columns, fields = [rows.jacobian], list[str]()
+    for scene, names in [(present, given), *([(replace(present), alone)] if alone else [])]:
+        parameters = Parameters(names, scene)
+        shooting = Shooting(search.recordings, parameters, search.windows)
+        shooting.units = search.units
+        changed = shooting.rows(shooting.unknowns(parameters.of(scene)), search.noise, slack)
+        if changed is not None:  # else rounding has changed what can be followed
+            columns.append(changed.jacobian[:, 2 * WIDTH :])
+            fields += names
+    if not fields:
         return "", 0.0
-    together = rows._replace(jacobian=np.column_stack([rows.jacobian, others.jacobian[:, 2 * WIDTH :]]))
-    moves = abs(Chain(together, len(search.windows)).moves(rows.fields))
+    moves = abs(Chain(rows._replace(jacobian=np.column_stack(columns)), len(search.windows)).moves(rows.fields))
     furthest = int(np.argmax(moves))
-    return parameters.fields[furthest], float(moves[furthest])
+    return fields[furthest], float(moves[furthest])
 
 
 def _bad_row_sentences(search: Search) -> Iterator[str]:

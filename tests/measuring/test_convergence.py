@@ -118,6 +118,14 @@ def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
     )
 
 
+def test_a_wrong_arm_is_named_where_the_inertia_follows_it() -> None:
+    scene, fields = LAB.changed(jack_inertia=None), ("jack_mass", "restitution")
+    recording = filmed(scene, 1.5, seed=3)
+    assert fit(recording, fields, scene).problems == ()
+    problems = fit(recording, fields, scene.changed(jack_arm=1.01 * scene.jack_arm)).problems
+    assert any(problem.startswith("jack_arm, or something else that is not fitted") for problem in problems), problems
+
+
 def test_a_window_that_jumps_blocks_a_search_and_is_named() -> None:
     def evaluate(unknowns: Array) -> Rows:
         """Two windows that want x = 1; the second jumps where x is above 0.5."""
@@ -241,6 +249,18 @@ def test_impacts_that_determine_only_some_fields_lead_to_all() -> None:
     assert fitted.problems == ()
     for name in FIELDS:
         assert getattr(fitted.scene, name) == pytest.approx(getattr(LAB, name), rel=0.01)
+
+
+def test_a_fit_whose_first_windows_run_away_begins_again_from_other_guesses() -> None:
+    rng, scene = np.random.default_rng(10), Scene(jack_mass=20.0, restitution=0.84, drive=None)
+    torques = np.repeat(rng.uniform(-3e4, 3e4, 12), 10)
+    seen = rollout(scene, 0.3 * np.eye(12)[5], torques, dt=0.02)[0]
+    seen += 1e-3 * rng.standard_normal(seen.shape)
+    seen[:, [0, 1, 2, 6, 7, 8]] = np.nan  # the box was not observed
+    start = scene.changed(jack_mass=15.0, restitution=0.75)
+    fitted = fit(Recording(seen, torques, dt=0.02), ("jack_mass", "restitution"), start)  # 2,452 kg without others
+    assert fitted.converged, fitted.problems
+    assert fitted.scene.jack_mass == pytest.approx(20.0, rel=0.01)
 
 
 def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:

@@ -21,7 +21,7 @@ from scripts.studies.pages import table
 
 HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
 STARTS = "start", "fits", "converged", HEADS[2], "farthest [standard deviations]", "time for 4 s"
-PEOPLE = (False, "", True), (True, "", False), *((False, wrong, False) for wrong in WRONGS)  # the last: of all files
+PEOPLE = (False, "", True), (True, "", True), *((False, wrong, False) for wrong in WRONGS)  # the last: of all files
 LENGTHS = "recording", "processor time", "memory", "width of the mass's interval", "converged and right", "left out"
 
 
@@ -40,9 +40,9 @@ class Arguments(study.Arguments):
     files: int = 40
     """Files of a camera at each of two rates."""
     people: int = 400
-    """Recordings of people, whose fits start far from the truth."""
+    """Recordings of people, whose fits start far from the truth, and from it."""
     others: int = 60
-    """How many of them are fitted from the true start, too, and with each wrong value."""
+    """How many of them are fitted with each wrong value, too."""
     lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
     """Of long recordings [s]."""
 
@@ -142,12 +142,15 @@ def filled(record: study.Record) -> dict[str, Any]:
         f"within the 95 % interval of {of['right']} of these."
         for of in record["files"]
     ]
+    passed = [row for row in record["people"] if row and row["wrong"] in WRONG and row["converged"]]
     return {
         "printed": record["printed"],
         "columns": camera.COLUMNS.replace(",x_jack", ",\\\nx_jack"),  # a line of the site has 100 characters
         "lengths": lengths_table(record["lengths"]),
         "files": "\n\n".join(files),
         "people": people_table(record["people"]),
+        "passed": len(passed),
+        "hidden": sum(row["hidden"] for row in passed),
         "fits": tables(record["fits"]),
         "labs": labs_table(record["fits"]),
     }

@@ -119,4 +119,12 @@ def fitted_by_people(seed: int, verdict: bool, true_start: bool, wrong: str = ""
         "seed": seed, "verdict": verdict, "true_start": true_start, "wrong": wrong, "seconds": seconds,
         "contain": contain, "length": len(recording.states) * recording.dt, "converged": bool(estimate.converged),
         "problems": estimate.problems, "deviations": deviations, "left_out": estimate.left_out,
+        "hidden": wrong in WRONG and estimate.converged and _hidden(wrong, fields, *spoilt_start),
     }  # fmt: skip
+
+
+def _hidden(wrong: str, fields: tuple[str, ...], start: Scene, recording: Recording) -> bool:
+    """Whether the wrong value agrees with the recording, too: it is in the interval of a fit of it with the others."""
+    freed = fit(recording, (*fields, wrong), start)
+    low, high = freed.intervals[wrong]
+    return freed.converged and low <= getattr(start, wrong) <= high
