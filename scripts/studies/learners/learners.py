@@ -45,7 +45,7 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page: fine, the slowest, last; of a task seed by seed, so an interrupted run compares alike."""
+    """All trials of the page: four seeds of all tasks, then fine, the slowest, then the other seeds, each task alike."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
@@ -57,7 +57,7 @@ def trials(arguments: Arguments) -> study.Trials:
         for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
         if fidelity != "fine" or (task == "juggle" and seed < 3)
     ]
-    trainings.sort(key=lambda training: training["fidelity"] == "fine")
+    trainings.sort(key=lambda training: (training["seed"] // 4, training["fidelity"] == "fine"))
     every += [{**training, "episodes": arguments.episodes} for training in trainings]
     return every
 
