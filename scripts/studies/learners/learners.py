@@ -31,7 +31,9 @@ class Arguments(study.Arguments):
     runs: Path | None = Path("runs/learners")
     """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     seeds: int = 8
-    """Trainings on each task and fidelity; on fine, which only juggle has, three at most."""
+    """Trainings on each task and fidelity but fine."""
+    fine: int = 3
+    """Trainings on fine, of juggle: each takes an hour or more."""
     episodes: int = 256
     """Episodes of each evaluation."""
     planner_episodes: int = 32
@@ -40,6 +42,8 @@ class Arguments(study.Arguments):
     def __post_init__(self) -> None:
         """Raise ValueError if an interval cannot be estimated from so few."""
         check.whole("seeds", self.seeds, at_least=4)
+        if check.whole("fine", self.fine, at_least=0) == 1:
+            raise ValueError("fine must be 0, or 2 or more, got 1: one training has no interval")
         for name in ("episodes", "planner_episodes"):
             check.whole(name, getattr(self, name), at_least=4)
 
@@ -55,7 +59,7 @@ def trials(arguments: Arguments) -> study.Trials:
     trainings = [
         {"part": "trained", "runs": str(arguments.runs), "task": task, "fidelity": fidelity, "seed": seed}
         for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
-        if fidelity != "fine" or (task == "juggle" and seed < 3)
+        if fidelity != "fine" or (task == "juggle" and seed < arguments.fine)
     ]
     trainings.sort(key=lambda training: (training["seed"] // 4, training["fidelity"] == "fine"))
     every += [{**training, "episodes": arguments.episodes} for training in trainings]
