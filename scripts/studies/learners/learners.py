@@ -49,7 +49,7 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page: four seeds of all tasks, then fine, the slowest, then the other seeds, each task alike."""
+    """All trials of the page: four seeds of all tasks, then those on fine, the slowest, then the other seeds."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
@@ -151,11 +151,18 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
     """The verdicts in one sentence for each kind."""
-    kinds: dict[str, list[str]] = {}
+    starts = {
+        EQUAL: "Judged on `exact`, PPO earns as much as if trained there when it is trained on",
+        WORSE: "It earns less if trained on",
+        BETTER: "It earns more if trained on",
+        "undecided": "Undecided is what it earns if trained on",
+    }
+    kinds: dict[str, dict[str, list[str]]] = {kind: {} for kind in starts}
     for (task, fidelity), row in rows.items():
         if row["verdict"]:
-            kinds.setdefault(row["verdict"].partition(":")[0], []).append(f"{task} by `{fidelity}`")
-    return " ".join(f"{kind.capitalize()}: {', '.join(names)}." for kind, names in kinds.items())
+            kinds[row["verdict"].partition(":")[0]].setdefault(task, []).append(f"`{fidelity}`")
+    lists = {kind: [f"{' or '.join(names)} in {task}" for task, names in of.items()] for kind, of in kinds.items()}
+    return " ".join(f"{starts[kind]} {'; '.join(some)}." for kind, some in lists.items() if some)
 
 
 def _range(values: tuple[float, float, float]) -> str:
@@ -175,7 +182,7 @@ def draw(record: study.Record, folder: Path) -> None:
 
     colours = dict(zip(FIDELITIES, (JACK, BOX, "#2e9e6b", GREY), strict=True))
     figure = Figure(figsize=(5.2, 7.4), layout="constrained")
-    for axes, task in zip(figure.subplots(len(these.DECISIONS), 1), these.DECISIONS, strict=True):
+    for axes, task in zip(figure.subplots(len(these.DECISIONS), 1, sharex=True), these.DECISIONS, strict=True):
         ends = {}
         for fidelity, style in zip(FIDELITIES, ("-", "--", "-.", ":"), strict=True):
             some = [row for row in record["trained"] if (row["task"], row["fidelity"]) == (task, fidelity)]
