@@ -56,7 +56,7 @@ def trials(arguments: Arguments) -> study.Trials:
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
-    trainings = [
+    trainings: study.Trials = [
         {"part": "trained", "runs": str(arguments.runs), "task": task, "fidelity": fidelity, "seed": seed}
         for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
         if fidelity != "fine" or (task == "juggle" and seed < arguments.fine)
