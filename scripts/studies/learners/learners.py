@@ -31,7 +31,9 @@ class Arguments(study.Arguments):
     runs: Path | None = Path("runs/learners")
     """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     seeds: int = 8
-    """Trainings on each task and fidelity; on fine, which only juggle has, three at most."""
+    """Trainings on each task and fidelity but fine."""
+    fine: int = 3
+    """Trainings on fine, of juggle: each takes an hour or more."""
     episodes: int = 256
     """Episodes of each evaluation."""
     planner_episodes: int = 32
@@ -40,24 +42,26 @@ class Arguments(study.Arguments):
     def __post_init__(self) -> None:
         """Raise ValueError if an interval cannot be estimated from so few."""
         check.whole("seeds", self.seeds, at_least=4)
+        if check.whole("fine", self.fine, at_least=0) == 1:
+            raise ValueError("fine must be 0, or 2 or more, got 1: one training has no interval")
         for name in ("episodes", "planner_episodes"):
             check.whole(name, getattr(self, name), at_least=4)
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page: fine, the slowest, last; of a task seed by seed, so an interrupted run compares alike."""
+    """All trials of the page: four seeds of all tasks, then those on fine, the slowest, then the other seeds."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
-    trainings = [
+    trainings: study.Trials = [
         {"part": "trained", "runs": str(arguments.runs), "task": task, "fidelity": fidelity, "seed": seed}
         for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
-        if fidelity != "fine" or (task == "juggle" and seed < 3)
+        if fidelity != "fine" or (task == "juggle" and seed < arguments.fine)
     ]
-    trainings.sort(key=lambda training: training["fidelity"] == "fine")
+    trainings.sort(key=lambda training: (training["seed"] // 4, training["fidelity"] == "fine"))
     every += [{**training, "episodes": arguments.episodes} for training in trainings]
     return every
 
@@ -147,11 +151,18 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
     """The verdicts in one sentence for each kind."""
-    kinds: dict[str, list[str]] = {}
+    starts = {
+        EQUAL: "Judged on `exact`, PPO earns as much as if trained there when it is trained on",
+        WORSE: "It earns less if trained on",
+        BETTER: "It earns more if trained on",
+        "undecided": "Undecided is what it earns if trained on",
+    }
+    kinds: dict[str, dict[str, list[str]]] = {kind: {} for kind in starts}
     for (task, fidelity), row in rows.items():
         if row["verdict"]:
-            kinds.setdefault(row["verdict"].partition(":")[0], []).append(f"{task} by `{fidelity}`")
-    return " ".join(f"{kind.capitalize()}: {', '.join(names)}." for kind, names in kinds.items())
+            kinds[row["verdict"].partition(":")[0]].setdefault(task, []).append(f"`{fidelity}`")
+    lists = {kind: [f"{' or '.join(names)} in {task}" for task, names in of.items()] for kind, of in kinds.items()}
+    return " ".join(f"{starts[kind]} {'; '.join(some)}." for kind, some in lists.items() if some)
 
 
 def _range(values: tuple[float, float, float]) -> str:
@@ -171,7 +182,7 @@ def draw(record: study.Record, folder: Path) -> None:
 
     colours = dict(zip(FIDELITIES, (JACK, BOX, "#2e9e6b", GREY), strict=True))
     figure = Figure(figsize=(5.2, 7.4), layout="constrained")
-    for axes, task in zip(figure.subplots(len(these.DECISIONS), 1), these.DECISIONS, strict=True):
+    for axes, task in zip(figure.subplots(len(these.DECISIONS), 1, sharex=True), these.DECISIONS, strict=True):
         ends = {}
         for fidelity, style in zip(FIDELITIES, ("-", "--", "-.", ":"), strict=True):
             some = [row for row in record["trained"] if (row["task"], row["fidelity"]) == (task, fidelity)]

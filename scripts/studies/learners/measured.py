@@ -41,7 +41,8 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         return evaluate(name.stem, find_policy(str(name), on), on.env_settings, count, SEED).mean
 
     steps = sorted(steps_of_checkpoints(run))
-    spent, made = float(read_json(run / TIME)["processor_seconds"]), read_json(run / RUN)
+    timed, made = read_json(run / TIME), read_json(run / RUN)  # the first is of the process that finished the run
+    spent = timed["processor_seconds"] / timed["steps"] * DECISIONS[task]
     return {
         "task": task,
         "fidelity": fidelity,
