@@ -148,14 +148,14 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
 def _not_followed(search: Search) -> tuple[int, list[float]]:
     """How many windows should be linked to the next one, and by recording how long the jack moves in none [s]."""
     joints, seconds = 0, list[float]()
-    for number, (modelled, flights) in enumerate(zip(search.motions()[0], search.flights, strict=True)):
-        missing = np.isnan(modelled[1:, X_JACK])
-        if flights is None:
+    for number, modelled in enumerate(search.motions()[0]):
+        missing, flown = np.isnan(modelled[1:, X_JACK]), search.flown[number]
+        steps = sum(int(missing[first:last].sum()) for first, last in flown)
+        if search.flights[number] is None:
             joints += sum(window.recording == number for window in search.windows) - 1
-            steps = max(0, int(missing.sum()) - search.resting_steps[number])
+            steps = max(steps, int(missing.sum()) - search.resting_steps[number])
         else:
-            joints += sum(one[1] == other[0] for one, other in pairwise(flights.flown))
-            steps = sum(int(missing[first:last].sum()) for first, last in flights.flown)
+            joints += sum(one[1] == other[0] for one, other in pairwise(flown))
         seconds.append(steps * search.recordings[number].dt)
     return joints, seconds
 

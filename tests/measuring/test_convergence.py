@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
 from jackbox_env import Recording, Scene, fit, rollout
 from jackbox_env.commands.fit import read_recording
 from jackbox_env.measure import fitting, outcome, search
 from jackbox_env.measure.chain import Rows, minimise
 from jackbox_env.measure.flights import flights_of
+from jackbox_env.measure.recordings import known_noise, state_at
 from jackbox_env.measure.residuals import jumps
 from jackbox_env.measure.shooting import Parameters, Shooting, Window, followed, motion, units
 from jackbox_env.tools.command_line import ROOT
@@ -180,6 +182,14 @@ def test_rest_is_no_flight() -> None:
     flights = flights_of(filmed(lossy, seconds=8.0), lossy, noise)  # rests after a second
     assert flights is not None
     assert flights.first[flights.lasting].tolist() == [0]
+
+
+def test_a_model_that_rests_where_the_recorded_jack_flies_does_not_explain_it() -> None:
+    recording, bar = filmed(LAB), tqdm(disable=True)
+    arguments: Any = [recording], Parameters(FIELDS, LAB), known_noise(None), bar
+    again = search.Search(*arguments, before=search.Search(*arguments))
+    again.windows, again.resting_steps = [Window(0, 0, 10, start=state_at(recording))], [len(recording.states) - 11]
+    assert outcome._not_followed(again)[1][0] > 1.0  # [s] of 2.5
 
 
 def test_windows_have_two_rows_for_each_impact() -> None:
