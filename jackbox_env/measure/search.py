@@ -65,7 +65,9 @@ class Search:
             None if from_start else flights_of(one, parameters.start, self.noise) for one in self.recordings
         ]
         # Spans of each recording in which the jack flies by what was recorded, whatever the model.
-        self.flown = before.flown if before else [[] if one is None else one.flown for one in self.flights]
+        self.flown: list[list[tuple[int, int]]] = (
+            before.flown if before else [[] if one is None else one.flown for one in self.flights]
+        )
         self.observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self.block = _BLOCK if self.observed.all() else _INCOMPLETE_BLOCK
         self.windows: list[Window] = []
