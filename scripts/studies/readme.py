@@ -18,6 +18,7 @@ from scripts.studies.pages import fill
 ROOT = Path(__file__).parents[2]
 SPEED = ROOT / "docs" / "speed.json"
 RESULTS = ROOT / "docs" / "results.json"
+LEARNERS = ROOT / "docs" / "learners.json"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 PAGE = ROOT / "docs" / "play.png"
@@ -85,11 +86,17 @@ def photograph_page() -> None:
 
 def filled(page: str) -> str:
     """The README with its tables filled from the stored results."""
+    from scripts.studies.learners import learners
     from scripts.studies.speed import speed
 
     page = fill(page, "returns", returns_table(json.loads(RESULTS.read_text())))
-    sentence = speed.for_the_readme(json.loads(SPEED.read_text()))
-    return re.sub("(<!-- speed -->).*?(<!-- /speed -->)", rf"\1{sentence}\2", page)
+    sentences = {
+        "speed": speed.for_the_readme(json.loads(SPEED.read_text())),
+        "learners": learners.for_the_readme(json.loads(LEARNERS.read_text())),
+    }
+    for name, sentence in sentences.items():
+        page = re.sub(f"(<!-- {name} -->).*?(<!-- /{name} -->)", rf"\1{sentence}\2", page)
+    return page
 
 
 def environment_page() -> str:

@@ -150,19 +150,28 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
-    """The verdicts in one sentence for each kind."""
+    """The verdicts: of each kind, and of tasks with the same fidelities, in one sentence."""
     starts = {
-        EQUAL: "Judged on `exact`, PPO earns as much as if trained there when it is trained on",
-        WORSE: "It earns less if trained on",
-        BETTER: "It earns more if trained on",
-        "undecided": "Undecided is what it earns if trained on",
+        EQUAL: "Trained on {}, PPO earns as much on `exact` as if trained there: {}.",
+        WORSE: "Trained on {}, PPO earns less on `exact`: {}.",
+        BETTER: "Trained on {}, PPO earns more on `exact`: {}.",
+        "undecided": "Trained on {}, it is undecided: {}.",
     }
-    kinds: dict[str, dict[str, list[str]]] = {kind: {} for kind in starts}
-    for (task, fidelity), row in rows.items():
-        if row["verdict"]:
-            kinds[row["verdict"].partition(":")[0]].setdefault(task, []).append(f"`{fidelity}`")
-    lists = {kind: [f"{' or '.join(names)} in {task}" for task, names in of.items()] for kind, of in kinds.items()}
-    return " ".join(f"{starts[kind]} {'; '.join(some)}." for kind, some in lists.items() if some)
+    sentences = []
+    for kind, start in starts.items():
+        lists: dict[str, list[str]] = {}
+        for (task, fidelity), row in rows.items():
+            if row["verdict"].partition(":")[0] == kind:
+                lists.setdefault(task, []).append(f"`{fidelity}`")
+        for names in dict.fromkeys(map(tuple, lists.values())):
+            tasks = [f"`{task}`" for task, some in lists.items() if tuple(some) == names]
+            sentences.append(start.format(" or ".join(names), ", ".join(tasks)))
+    return " ".join(sentences)
+
+
+def for_the_readme(record: study.Record) -> str:
+    """The README's sentence on training."""
+    return f"{sentence(compared(record))} ([Measured](docs/learners.md))"
 
 
 def _range(values: tuple[float, float, float]) -> str:
