@@ -111,10 +111,10 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
     """
     present, slack = search.parameters.scene(search.numbers), search.scaled_slack(LINK_SLACKS[-1])
     others = [name for name in FIELDS if name not in search.parameters.fields]
-    given = [name for name in others if name not in present.derived]
+    independent = [name for name in others if name not in present.derived]
     alone = [name for name in others if name in present.derived]
     columns, fields = [rows.jacobian], list[str]()
-    for scene, names in [(present, given), *([(replace(present), alone)] if alone else [])]:
+    for scene, names in [(present, independent), *([(replace(present), alone)] if alone else [])]:
         parameters = Parameters(names, scene)
         shooting = Shooting(search.recordings, parameters, search.windows)
         shooting.units = search.units
