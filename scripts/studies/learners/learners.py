@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -150,28 +151,39 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
-    """The verdicts: of each kind, and of tasks with the same fidelities, in one sentence."""
+    """The verdicts, a sentence for each kind."""
     starts = {
-        EQUAL: "Trained on {}, PPO earns as much on `exact` as if trained there: {}.",
-        WORSE: "Trained on {}, PPO earns less on `exact`: {}.",
-        BETTER: "Trained on {}, PPO earns more on `exact`: {}.",
-        "undecided": "Trained on {}, it is undecided: {}.",
+        EQUAL: "Judged on `exact`, PPO earns as much as if trained there when it is trained on",
+        WORSE: "It earns less if trained on",
+        BETTER: "It earns more if trained on",
+        "undecided": "It is undecided for",
     }
     sentences = []
     for kind, start in starts.items():
         lists: dict[str, list[str]] = {}
         for (task, fidelity), row in rows.items():
             if row["verdict"].partition(":")[0] == kind:
-                lists.setdefault(task, []).append(f"`{fidelity}`")
-        for names in dict.fromkeys(map(tuple, lists.values())):
-            tasks = [f"`{task}`" for task, some in lists.items() if tuple(some) == names]
-            sentences.append(start.format(" or ".join(names), ", ".join(tasks)))
+                lists.setdefault(f"`{fidelity}`", []).append(task)
+        if lists:
+            sentences.append(f"{start} {'; '.join(f'{name} in {_listed(tasks)}' for name, tasks in lists.items())}.")
     return " ".join(sentences)
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), names[-1]])
 
 
 def for_the_readme(record: study.Record) -> str:
     """The README's sentence on training."""
-    return f"{sentence(compared(record))} ([Measured](docs/learners.md))"
+    rows = compared(record)
+    others = {of: row for of, row in rows.items() if row["verdict"]}
+    longer = [row["seconds"] / rows[task, "exact"]["seconds"] for (task, _), row in others.items()]
+    kinds = Counter(row["verdict"].partition(":")[0] for row in others.values())
+    counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    return (
+        f"PPO that trains on pymunk takes {min(longer):.0f} to {max(longer):.0f} times as long. Judged on `exact`, its "
+        f"[{len(others)} comparisons](docs/learners.md) with PPO trained there are: {counts}."
+    )
 
 
 def _range(values: tuple[float, float, float]) -> str:
