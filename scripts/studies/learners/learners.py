@@ -129,6 +129,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "verdict": sentence(rows),
         "margin": 100.0 * MARGIN,
         "seeds": max(row["count"] for row in rows.values()),
+        "fine": sum(row["count"] for (_, fidelity), row in rows.items() if fidelity == "fine"),
         "decisions": these.DECISIONS,
         "rows": table(
             ("task", "trained on", "earns on exact", "lowest", "against exact", "verdict", "seconds"),
@@ -146,7 +147,6 @@ def filled(record: study.Record) -> dict[str, Any]:
         "curve_episodes": these.CURVE_EPISODES,
         "resamples": RESAMPLES,
         "commits": ", ".join(sorted({row["commit"] for row in record["trained"]})),
-        "machines": "; ".join(sorted({row["machine"] for row in record["trained"]})),
     }  # fmt: skip
 
 
@@ -170,6 +170,7 @@ def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
 
 
 def _listed(names: list[str]) -> str:
+    """Names in a sentence: a, b and c."""
     return " and ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), names[-1]])
 
 
@@ -179,10 +180,10 @@ def for_the_readme(record: study.Record) -> str:
     others = {of: row for of, row in rows.items() if row["verdict"]}
     longer = [row["seconds"] / rows[task, "exact"]["seconds"] for (task, _), row in others.items()]
     kinds = Counter(row["verdict"].partition(":")[0] for row in others.values())
-    counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    differing = "".join(f", {kinds[kind]} {kind}" for kind in (BETTER, WORSE, "undecided") if kinds[kind])
     return (
-        f"PPO that trains on pymunk takes {min(longer):.0f} to {max(longer):.0f} times as long. Judged on `exact`, its "
-        f"[{len(others)} comparisons](docs/learners.md) with PPO trained there are: {counts}."
+        f"PPO that trains on pymunk takes {min(longer):.0f} to {max(longer):.0f} times as long. On `exact` it earns as "
+        f"much as PPO trained there in {kinds[EQUAL]} of [{len(others)} comparisons](docs/learners.md){differing}."
     )
 
 
