@@ -157,7 +157,7 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
 def _cut_first(search: Search, number: int) -> None:
     """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
     furthest, best = -1, (search.numbers, search.windows, 0)
-    for numbers, state in list(_first_guesses(search, number)):
+    for numbers, state in _first_guesses(search, number):
         search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
         search.progress.reset()
         complete = _cut(search, number, state)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -144,13 +144,22 @@ def by_part(study: Study, rows: Trials) -> Record:
     record: Record = {"made": {}}
     for part in dict.fromkeys(row["part"] for row in rows):
         some = [row for row in rows if row["part"] == part]
-        record[part], made = [row["result"] for row in some], "; ".join(sorted({row["made"] for row in some}))
+        record[part], made = [row["result"] for row in some], _with_commits(row["made"] for row in some)
         if part in study.single or not study.trials:
             (row,) = some
             settings = [f"; {name} {value}" for name, value in row.items() if name not in ("part", *_RESULTS)]
             record[part], made = row["result"], f"{made}{''.join(settings)}. {row['busy']}"
         record["made"][part] = made.removesuffix(".") + "."
     return record
+
+
+def _with_commits(made: Iterable[str]) -> str:
+    """Machines and versions of trials, each once, with all their commits."""
+    commits = dict[str, set[str]]()
+    for text in made:
+        shared, _, commit = text.partition(", commit ")
+        commits.setdefault(shared, set()).add(commit)
+    return "; ".join(f"{shared}, commit {', '.join(sorted(of))}" for shared, of in sorted(commits.items()))
 
 
 def made_lines(made: Mapping[str, str]) -> str:
