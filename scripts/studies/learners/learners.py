@@ -146,7 +146,6 @@ def filled(record: study.Record) -> dict[str, Any]:
         "planned": planned,
         "curve_episodes": these.CURVE_EPISODES,
         "resamples": RESAMPLES,
-        "commits": ", ".join(sorted({row["commit"] for row in record["trained"]})),
     }  # fmt: skip
 
 
