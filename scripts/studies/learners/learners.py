@@ -151,20 +151,20 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
     """The verdicts, a sentence for each kind."""
-    starts = {
-        EQUAL: "Judged on `exact`, PPO earns as much as if trained there when it is trained on",
-        WORSE: "It earns less if trained on",
-        BETTER: "It earns more if trained on",
-        "undecided": "It is undecided for",
+    templates = {
+        EQUAL: "Judged on `exact`, PPO trained on {} earns as much as PPO trained on `exact`.",
+        WORSE: "Judged on `exact`, PPO trained on {} earns less than PPO trained on `exact`.",
+        BETTER: "Judged on `exact`, PPO trained on {} earns more than PPO trained on `exact`.",
+        "undecided": "For {} it is undecided.",
     }
     sentences = []
-    for kind, start in starts.items():
+    for kind, template in templates.items():
         lists: dict[str, list[str]] = {}
         for (task, fidelity), row in rows.items():
             if row["verdict"].partition(":")[0] == kind:
                 lists.setdefault(f"`{fidelity}`", []).append(task)
         if lists:
-            sentences.append(f"{start} {'; '.join(f'{name} in {_listed(tasks)}' for name, tasks in lists.items())}.")
+            sentences.append(template.format(" or ".join(f"{on} ({_listed(tasks)})" for on, tasks in lists.items())))
     return " ".join(sentences)
 
 
