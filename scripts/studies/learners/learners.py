@@ -50,7 +50,7 @@ class Arguments(study.Arguments):
 
 
 def trials(arguments: Arguments) -> study.Trials:
-    """All trials of the page: four seeds of all tasks, then the other seeds, then those on fine, the slowest."""
+    """All trials of the page: one seed of all tasks after the other, then those on fine, the slowest."""
     every: study.Trials = [
         {"part": "untrained", "task": task, "episodes": arguments.episodes} for task in these.DECISIONS
     ]
@@ -62,7 +62,7 @@ def trials(arguments: Arguments) -> study.Trials:
         for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
         if fidelity != "fine" or (task == "juggle" and seed < arguments.fine)
     ]
-    trainings.sort(key=lambda training: (training["fidelity"] == "fine", training["seed"] // 4))
+    trainings.sort(key=lambda training: (training["fidelity"] == "fine", training["seed"]))
     every += [{**training, "episodes": arguments.episodes} for training in trainings]
     return every
 
