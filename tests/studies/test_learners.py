@@ -20,7 +20,9 @@ from scripts.studies.learners.measured import by_environment
         ((0.0, -4.9, 4.9), "equal"),
         ((-9.0, -12.0, -5.1), "worse"),
         ((9.0, 5.1, 12.0), "better"),
-        ((0.0, -10.0, 10.0), "undecided: about 32 trainings would do"),  # half the width: four times as many
+        ((0.0, -10.0, 10.0), "undecided: about 64 trainings would do"),  # half the width: four times as many, twice
+        ((-1.0, -9.0, 0.0), "undecided: about 64 trainings would do"),  # by the longer side of the interval
+        ((5.0, 3.0, 7.0), "undecided: more than 1,000 trainings would do"),
     ],
 )
 def test_a_difference_is_judged_by_its_interval(difference: tuple[float, float, float], wanted: str) -> None:

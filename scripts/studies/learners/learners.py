@@ -21,7 +21,9 @@ from scripts.studies.pages import label_ends, table
 
 FIDELITIES = ("exact", "coarse", "balanced", "fine")
 MARGIN = 0.05  # of the return above zero torque: what is called equal, chosen before the first training
-RESAMPLES = 2000
+RESAMPLES = 20_000
+FEWEST = 4  # trainings that are compared
+WITHIN = f"{100.0 * MARGIN:g} %"
 EQUAL, WORSE, BETTER = "equal", "worse", "better"
 
 
@@ -42,7 +44,7 @@ class Arguments(study.Arguments):
 
     def __post_init__(self) -> None:
         """Raise ValueError if an interval cannot be estimated from so few."""
-        check.whole("seeds", self.seeds, at_least=4)
+        check.whole("seeds", self.seeds, at_least=FEWEST)
         if check.whole("fine", self.fine, at_least=0) == 1:
             raise ValueError("fine must be 0, or 2 or more, got 1: one training has no interval")
         for name in ("episodes", "planner_episodes"):
@@ -87,7 +89,7 @@ def interval(*samples: Array) -> tuple[float, float, float]:
 
 
 def verdict(difference: tuple[float, float, float], margin: float, count: int) -> str:
-    """Equal, better or worse, if the interval decides it; else the number of trainings that would."""
+    """Equal, better or worse, if the interval decides it; else how many trainings would, with a probability of 80 %."""
     middle, low, high = difference
     if -margin <= low and high <= margin:
         return EQUAL
@@ -95,8 +97,9 @@ def verdict(difference: tuple[float, float, float], margin: float, count: int) -
         return WORSE
     if low > margin:
         return BETTER
-    needed = count * (0.5 * (high - low) / max(abs(margin - abs(middle)), 1e-9)) ** 2
-    return f"undecided: about {max(count + 1, math.ceil(needed)):,} trainings would do"
+    arm, left = max(high - middle, middle - low), max(abs(margin - abs(middle)), 1e-9)
+    needed = max(count + 1, math.ceil(2.0 * count * (arm / left) ** 2))  # the 2: (1.96 + 0.84)^2 / 1.96^2
+    return f"undecided: {f'about {needed:,}' if needed < 1000 else 'more than 1,000'} trainings would do"
 
 
 def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
@@ -114,22 +117,27 @@ def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
         rows[task, fidelity] = {
             "earns": {judge: interval(values) for judge, values in on.items()},
             "lowest": float(on["exact"].min()),
-            "share": [100.0 * part / above for part in difference],
-            "verdict": "" if fidelity == "exact" else verdict(difference, MARGIN * above, len(some)),
+            "share": None if fidelity == "exact" else [100.0 * part / above for part in difference],
+            "verdict": "",
             "seconds": float(np.mean([row["processor_seconds"] for row in some])),
             "count": len(some),
         }
+        if fidelity != "exact" and len(some) >= FEWEST:
+            rows[task, fidelity]["verdict"] = verdict(difference, MARGIN * above, len(some))
     return rows
 
 
 def filled(record: study.Record) -> dict[str, Any]:
     """The numbers of docs/learners.md."""
     rows, planned = compared(record), {row["model"]: row for row in record["planned"]}
+    fine = sum(row["count"] for (_, fidelity), row in rows.items() if fidelity == "fine")
     return {
         "verdict": sentence(rows),
-        "margin": 100.0 * MARGIN,
+        "within": WITHIN,
         "seeds": max(row["count"] for row in rows.values()),
-        "fine": sum(row["count"] for (_, fidelity), row in rows.items() if fidelity == "fine"),
+        "fine": fine,
+        "fine_too": f", and juggle {fine} on `fine`, too few for a verdict" if fine else "",
+        "episodes": record["trained"][0]["episodes"],
         "decisions": these.DECISIONS,
         "rows": table(
             ("task", "trained on", "earns on exact", "lowest", "against exact", "verdict", "seconds"),
@@ -146,16 +154,17 @@ def filled(record: study.Record) -> dict[str, Any]:
         "planned": planned,
         "curve_episodes": these.CURVE_EPISODES,
         "resamples": RESAMPLES,
+        "commits": ", ".join(sorted({row["commit"] for row in record["trained"]})),
     }  # fmt: skip
 
 
 def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
     """The verdicts, a sentence for each kind."""
     templates = {
-        EQUAL: "Judged on `exact`, PPO trained on {} earns as much as PPO trained on `exact`.",
+        EQUAL: f"Judged on `exact`, PPO trained on {{}} earns the same within {WITHIN} as PPO trained on `exact`.",
         WORSE: "Judged on `exact`, PPO trained on {} earns less than PPO trained on `exact`.",
         BETTER: "Judged on `exact`, PPO trained on {} earns more than PPO trained on `exact`.",
-        "undecided": "For {} it is undecided.",
+        "undecided": "Undecided: PPO trained on {}.",
     }
     sentences = []
     for kind, template in templates.items():
@@ -164,7 +173,9 @@ def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
             if row["verdict"].partition(":")[0] == kind:
                 lists.setdefault(f"`{fidelity}`", []).append(task)
         if lists:
-            sentences.append(template.format(" or ".join(f"{on} ({_listed(tasks)})" for on, tasks in lists.items())))
+            sentences.append(
+                template.format(" and on ".join(f"{on} ({_listed(tasks)})" for on, tasks in lists.items()))
+            )
     return " ".join(sentences)
 
 
@@ -179,10 +190,11 @@ def for_the_readme(record: study.Record) -> str:
     others = {of: row for of, row in rows.items() if row["verdict"]}
     longer = [row["seconds"] / rows[task, "exact"]["seconds"] for (task, _), row in others.items()]
     kinds = Counter(row["verdict"].partition(":")[0] for row in others.values())
-    differing = "".join(f", {kinds[kind]} {kind}" for kind in (BETTER, WORSE, "undecided") if kinds[kind])
+    differing = ", ".join(f"{kinds[kind]} {kind}" for kind in (BETTER, WORSE, "undecided") if kinds[kind])
     return (
-        f"PPO that trains on pymunk takes {min(longer):.0f} to {max(longer):.0f} times as long. On `exact` it earns as "
-        f"much as PPO trained there in {kinds[EQUAL]} of [{len(others)} comparisons](docs/learners.md){differing}."
+        f"PPO takes {min(longer):.0f} to {max(longer):.0f} times as long to train on pymunk. Judged on `exact`, it "
+        f"then earns the same within {WITHIN} as PPO trained on `exact` in {kinds[EQUAL]} of "
+        f"[{len(others)} comparisons](docs/learners.md){f' ({differing})' if differing else ''}."
     )
 
 
@@ -192,7 +204,7 @@ def _range(values: tuple[float, float, float]) -> str:
 
 
 def _against(row: dict[str, Any]) -> str:
-    return "" if not row["verdict"] else "{:+.1f} % ({:+.1f} to {:+.1f})".format(*row["share"])
+    return "" if row["share"] is None else "{:+.1f} % ({:+.1f} to {:+.1f})".format(*row["share"])
 
 
 def draw(record: study.Record, folder: Path) -> None:

@@ -16,6 +16,7 @@ from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.registry import find_policy
 from agents.runs import RUN, TIME, read_settings
 from agents.settings import EnvSettings
+from agents.training.best import read_evaluations
 from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
 from agents.training.ppo import trained_in
 from jackbox_env import JackInBoxEnv, Scene
@@ -40,13 +41,16 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         on = EnvSettings(task=task, fidelity=judge)
         return evaluate(name.stem, find_policy(str(name), on), on.env_settings, count, SEED).mean
 
-    steps = sorted(steps_of_checkpoints(run))
+    # An evaluation is of the checkpoint before it; an interrupted training has more checkpoints than evaluations.
+    evaluated, stored = read_evaluations(run, settings.eval_episodes).timesteps, steps_of_checkpoints(run)
+    steps = [max(one for one in stored if one <= at) for at in evaluated]
     timed, made = read_json(run / TIME), read_json(run / RUN)  # the first is of the process that finished the run
     spent = timed["processor_seconds"] / timed["steps"] * DECISIONS[task]
     return {
         "task": task,
         "fidelity": fidelity,
         "seed": seed,
+        "episodes": episodes,
         "earned": {judge: earned(run, judge, episodes) for judge in JUDGES},
         "curve": [earned(checkpoint_path(run, one), "exact", CURVE_EPISODES) for one in steps],
         "seconds": [spent * one / DECISIONS[task] for one in steps],  # updates take equally long all along
