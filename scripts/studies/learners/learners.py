@@ -33,10 +33,10 @@ class Arguments(study.Arguments):
 
     runs: Path | None = Path("runs/learners")
     """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
-    seeds: int = 8
-    """Trainings on each task and fidelity but fine."""
-    fine: int = 3
-    """Trainings on fine, of juggle: each takes an hour or more."""
+    seeds: tuple[int, ...] = tuple(range(8))
+    """Seeds of the trainings on each task and fidelity but fine. Stored trainings of other seeds stay."""
+    fine: tuple[int, ...] = tuple(range(3))
+    """Seeds of the trainings on fine, of juggle: each takes half an hour or more."""
     episodes: int = 256
     """Episodes of each evaluation."""
     planner_episodes: int = 32
@@ -44,9 +44,8 @@ class Arguments(study.Arguments):
 
     def __post_init__(self) -> None:
         """Raise ValueError if an interval cannot be estimated from so few."""
-        check.whole("seeds", self.seeds, at_least=FEWEST)
-        if check.whole("fine", self.fine, at_least=0) == 1:
-            raise ValueError("fine must be 0, or 2 or more, got 1: one training has no interval")
+        for seed in (*self.seeds, *self.fine):
+            check.whole("seeds", seed, at_least=0)
         for name in ("episodes", "planner_episodes"):
             check.whole(name, getattr(self, name), at_least=4)
 
@@ -59,14 +58,32 @@ def trials(arguments: Arguments) -> study.Trials:
     every += [
         {"part": "planned", "model": model, "episodes": arguments.planner_episodes} for model in ("exact", "pymunk")
     ]
+    fine = [("juggle", "fine", seed) for seed in arguments.fine]
+    others = [
+        (task, fidelity, seed) for seed, task, fidelity in product(arguments.seeds, these.DECISIONS, FIDELITIES[:-1])
+    ]
     trainings: study.Trials = [
         {"part": "trained", "runs": str(arguments.runs), "task": task, "fidelity": fidelity, "seed": seed}
-        for task, seed, fidelity in product(these.DECISIONS, range(arguments.seeds), FIDELITIES)
-        if fidelity != "fine" or (task == "juggle" and seed < arguments.fine)
+        for task, fidelity, seed in others + fine
     ]
-    trainings.sort(key=lambda training: (training["fidelity"] == "fine", training["seed"]))
     every += [{**training, "episodes": arguments.episodes} for training in trainings]
     return every
+
+
+def with_stored(new: study.Record, stored: study.Record) -> study.Record:
+    """New results, with the stored trainings of other seeds."""
+    trained = {_of(row): row for row in stored.get("trained", [])}
+    kept = trained.keys() - {_of(row) for row in new.get("trained", [])}
+    if "trained" in new and kept:
+        new["trained"] = sorted([*new["trained"], *(trained[of] for of in kept)], key=_of)
+        made = {new["made"]["trained"].removesuffix("."), stored["made"]["trained"].removesuffix(".")}
+        new["made"]["trained"] = "; ".join(sorted(made)) + "."
+    return new
+
+
+def _of(row: dict[str, Any]) -> tuple[int, int, int]:
+    """Task, seed and fidelity of a training, as numbers in the order of the page."""
+    return [*these.DECISIONS].index(row["task"]), row["seed"], FIDELITIES.index(row["fidelity"])
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
@@ -75,13 +92,15 @@ def trials(arguments: Arguments) -> study.Trials:
 def interval(*samples: Array) -> tuple[float, float, float]:
     """The interquartile mean of trainings, or how far the first lies above the second, with its 95 % interval.
 
-    The bootstrap draws trainings anew, of each sample as many as it has.
+    The bootstrap draws trainings anew, of each sample as many as it has. A single training has no finite interval.
     """
 
     def statistic(*drawn: Array, axis: int = -1) -> Any:
         means = [trim_mean(one, 0.25, axis=axis) for one in drawn]
         return means[0] if len(means) == 1 else means[0] - means[1]
 
+    if min(map(len, samples)) < 2:
+        return float(statistic(*samples)), -math.inf, math.inf
     drawn = bootstrap(
         samples, statistic, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
@@ -134,8 +153,9 @@ def filled(record: study.Record) -> dict[str, Any]:
     return {
         "verdict": sentence(rows),
         "within": WITHIN,
-        "seeds": max(row["count"] for row in rows.values()),
-        "fine": fine,
+        "seeds": " ".join(map(str, sorted({row["seed"] for row in record["trained"] if row["fidelity"] != "fine"}))),
+        "fine_seeds": "".join(f" {row['seed']}" for row in record["trained"] if row["fidelity"] == "fine"),
+        "trainings": rows["juggle", "exact"]["count"],
         "fine_too": f", and juggle {fine} on `fine`, too few for a verdict" if fine else "",
         "episodes": record["trained"][0]["episodes"],
         "decisions": these.DECISIONS,
@@ -243,6 +263,7 @@ STUDY = study.Study(
     Arguments,
     trials,
     draw=draw,
+    joined=with_stored,
 )
 
 if __name__ == "__main__":
