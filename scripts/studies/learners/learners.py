@@ -73,9 +73,9 @@ def trials(arguments: Arguments) -> study.Trials:
 def with_stored(new: study.Record, stored: study.Record) -> study.Record:
     """New results, with the stored trainings of other seeds."""
     trained = {_of(row): row for row in stored.get("trained", [])}
-    kept = trained.keys() - {_of(row) for row in new.get("trained", [])}
-    if "trained" in new and kept:
-        new["trained"] = sorted([*new["trained"], *(trained[of] for of in kept)], key=_of)
+    others = trained.keys() - {_of(row) for row in new.get("trained", [])}
+    if "trained" in new and others:
+        new["trained"] = sorted([*new["trained"], *(trained[of] for of in others)], key=_of)
         made = {new["made"]["trained"].removesuffix("."), stored["made"]["trained"].removesuffix(".")}
         new["made"]["trained"] = "; ".join(sorted(made)) + "."
     return new
