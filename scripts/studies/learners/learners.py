@@ -149,13 +149,14 @@ def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
 def filled(record: study.Record) -> dict[str, Any]:
     """The numbers of docs/learners.md."""
     rows, planned = compared(record), {row["model"]: row for row in record["planned"]}
+    counts = [row["count"] for (_, fidelity), row in rows.items() if fidelity != "fine"]
     fine = sum(row["count"] for (_, fidelity), row in rows.items() if fidelity == "fine")
     return {
         "verdict": sentence(rows),
         "within": WITHIN,
         "seeds": " ".join(map(str, sorted({row["seed"] for row in record["trained"] if row["fidelity"] != "fine"}))),
         "fine_seeds": "".join(f" {row['seed']}" for row in record["trained"] if row["fidelity"] == "fine"),
-        "trainings": rows["juggle", "exact"]["count"],
+        "trainings": " to ".join(map(str, sorted({min(counts), max(counts)}))),
         "fine_too": f", and juggle {fine} on `fine`, too few for a verdict" if fine else "",
         "episodes": record["trained"][0]["episodes"],
         "decisions": these.DECISIONS,
