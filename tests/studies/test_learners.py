@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from scripts.studies.learners.learners import interval, verdict, with_stored
-from scripts.studies.learners.measured import by_environment
+from scripts.studies.learners.measured import by_environment, evaluated_steps
 
 
 @pytest.mark.parametrize(
@@ -51,6 +52,16 @@ def test_new_trainings_stand_beside_the_stored_ones_of_other_seeds() -> None:
 
 def test_one_training_has_no_finite_interval() -> None:
     assert interval(np.array([3.0]), np.full(8, 1.0)) == (2.0, -np.inf, np.inf)
+
+
+def test_a_curve_has_a_point_for_each_evaluation(tmp_path: Path) -> None:
+    """An interrupted training has a checkpoint where it stopped, and none at an evaluation just after."""
+    (tmp_path / "checkpoints").mkdir()
+    for steps in (512, 700, 1024, 1536):
+        (tmp_path / "checkpoints" / f"ppo_{steps}.zip").touch()
+    ones = np.ones((3, 2))
+    np.savez(tmp_path / "evaluations.npz", timesteps=[512, 1030, 1536], results=ones, ep_lengths=ones)
+    assert evaluated_steps(tmp_path, 2) == [512, 1024, 1536]
 
 
 def test_plans_by_an_environment_of_the_same_model_earn_the_same() -> None:

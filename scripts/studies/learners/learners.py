@@ -23,6 +23,7 @@ FIDELITIES = ("exact", "coarse", "balanced", "fine")
 MARGIN = 0.05  # of the return above zero torque: what is called equal, chosen before the first training
 RESAMPLES = 20_000
 FEWEST = 4  # trainings that are compared
+FINE = ", too few for a verdict, so their plain mean is shown"
 WITHIN = f"{100.0 * MARGIN:g} %"
 EQUAL, WORSE, BETTER = "equal", "worse", "better"
 
@@ -43,9 +44,10 @@ class Arguments(study.Arguments):
     """Episodes of the planner by each contact model."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError if an interval cannot be estimated from so few."""
-        for seed in (*self.seeds, *self.fine):
-            check.whole("seeds", seed, at_least=0)
+        """Raise TypeError or ValueError for what cannot be measured."""
+        for name, seeds in (("seeds", self.seeds), ("fine", self.fine)):
+            for seed in seeds:
+                check.whole(name, seed, at_least=0)
         for name in ("episodes", "planner_episodes"):
             check.whole(name, getattr(self, name), at_least=4)
 
@@ -157,8 +159,8 @@ def filled(record: study.Record) -> dict[str, Any]:
         "seeds": " ".join(map(str, sorted({row["seed"] for row in record["trained"] if row["fidelity"] != "fine"}))),
         "fine_seeds": "".join(f" {row['seed']}" for row in record["trained"] if row["fidelity"] == "fine"),
         "trainings": " to ".join(map(str, sorted({min(counts), max(counts)}))),
-        "fine_too": f", and juggle {fine} on `fine`, too few for a verdict" if fine else "",
-        "episodes": record["trained"][0]["episodes"],
+        "fine_too": f", and juggle {fine} on `fine`{FINE * (fine < FEWEST)}" if fine else "",
+        "episodes": " or ".join(map(str, sorted({row["episodes"] for row in record["trained"]}))),
         "decisions": these.DECISIONS,
         "rows": table(
             ("task", "trained on", "earns on exact", "lowest", "against exact", "verdict", "seconds"),
@@ -197,7 +199,7 @@ def sentence(rows: dict[tuple[str, str], dict[str, Any]]) -> str:
             sentences.append(
                 template.format(" and on ".join(f"{on} ({_listed(tasks)})" for on, tasks in lists.items()))
             )
-    return " ".join(sentences)
+    return " ".join(sentences) or f"No verdict: it needs {FEWEST} trainings on each fidelity."
 
 
 def _listed(names: list[str]) -> str:

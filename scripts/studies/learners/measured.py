@@ -41,9 +41,7 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         on = EnvSettings(task=task, fidelity=judge)
         return evaluate(name.stem, find_policy(str(name), on), on.env_settings, count, SEED).mean
 
-    # An evaluation is of the checkpoint before it; an interrupted training has more checkpoints than evaluations.
-    evaluated, stored = read_evaluations(run, settings.eval_episodes).timesteps, steps_of_checkpoints(run)
-    steps = [max(one for one in stored if one <= at) for at in evaluated]
+    steps = evaluated_steps(run, settings.eval_episodes)
     timed, made = read_json(run / TIME), read_json(run / RUN)  # the first is of the process that finished the run
     spent = timed["processor_seconds"] / timed["steps"] * DECISIONS[task]
     return {
@@ -58,6 +56,15 @@ def trained(runs: str, task: str, fidelity: str, seed: int, episodes: int) -> di
         "commit": made["versions"]["commit"],
         "machine": made["machine"],
     }
+
+
+def evaluated_steps(run: Path, episodes: int) -> list[int]:
+    """Steps of the checkpoints that a training evaluated, of so many episodes each.
+
+    An evaluation is of the checkpoint before it. A training that was interrupted has more checkpoints than evaluations.
+    """
+    stored = steps_of_checkpoints(run)
+    return [max(one for one in stored if one <= at) for at in read_evaluations(run, episodes).timesteps]
 
 
 def untrained(task: str, episodes: int) -> dict[str, Any]:
