@@ -81,6 +81,7 @@ _PERSISTENCE = 1  # substeps for which the engine remembers a contact that has e
 _CORRECTION_TIME = 0.05  # in which overlap decays to 1 / e at restitution 0 [s]
 _ROUNDING = 1e-9  # over L: more than that of a gap
 _FAR_OFF = 500.0  # over L: out of reach of every wall, whose far ends are 55 L away
+_set_force, _set_torque = (vars(pymunk.Body)[name].fset for name in ("force", "torque"))  # faster than assigning
 _MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 
@@ -253,11 +254,11 @@ class PymunkSimulator(Simulator):
         weight = (0.0, -scene.jack_mass * scene.gravity) if scene.gravity > 0.0 else None
         for recorder.substep, torque in enumerate(load.during):
             if torque:  # the engine forgets it after each step
-                box.torque = torque
+                _set_torque(box, torque)
             if weight:
-                jack.force = weight
+                _set_force(jack, weight)
             if push:
-                box.force = push[0].during[recorder.substep], push[1].during[recorder.substep]
+                _set_force(box, (push[0].during[recorder.substep], push[1].during[recorder.substep]))
             step(h)
         recorder.check()
         after = self._read()
