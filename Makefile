@@ -172,12 +172,13 @@ readme: .venv/ready
 
 # What the package's user installs; .venv/ready has that too, and what tests and reports need.
 .venv/usable: EXTRA := all
+# --no-compile: Python compiles what it imports, a part of it all, when it does.
 .venv/ready: EXTRA := dev
 .venv/usable .venv/ready: pyproject.toml constraints.txt
 	@start=$$(date +%s); set -e; \
 	echo "Setting up .venv for $(EXTRA)"; \
 	$(PYTHON) -m venv .venv; \
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRA)]'; \
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.[$(EXTRA)]'; \
 	echo "Set-up took $$(( $$(date +%s) - start )) s"
 	@touch .venv/usable $@
 
