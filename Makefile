@@ -172,8 +172,8 @@ readme: .venv/ready
 
 # What the package's user installs; .venv/ready has that too, and what tests and reports need.
 .venv/usable: EXTRA := all
-# --no-compile: Python compiles what it imports, a part of it all, when it does.
 .venv/ready: EXTRA := dev
+# --no-compile: Python compiles a module when it is first imported, and most never are.
 .venv/usable .venv/ready: pyproject.toml constraints.txt
 	@start=$$(date +%s); set -e; \
 	echo "Setting up .venv for $(EXTRA)"; \

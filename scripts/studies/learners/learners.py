@@ -23,7 +23,7 @@ FIDELITIES = ("exact", "coarse", "balanced", "fine")
 MARGIN = 0.05  # of the return above zero torque: what is called equal, chosen before the first training
 RESAMPLES = 20_000
 FEWEST = 4  # trainings that are compared
-FINE = ", too few for a verdict, so their plain mean is shown"
+TOO_FEW = ", too few for quartiles and a verdict, so their mean is shown"
 WITHIN = f"{100.0 * MARGIN:g} %"
 EQUAL, WORSE, BETTER = "equal", "worse", "better"
 
@@ -159,7 +159,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "seeds": " ".join(map(str, sorted({row["seed"] for row in record["trained"] if row["fidelity"] != "fine"}))),
         "fine_seeds": "".join(f" {row['seed']}" for row in record["trained"] if row["fidelity"] == "fine"),
         "trainings": " to ".join(map(str, sorted({min(counts), max(counts)}))),
-        "fine_too": f", and juggle {fine} on `fine`{FINE * (fine < FEWEST)}" if fine else "",
+        "fine_too": f", and juggle {fine} on `fine`{TOO_FEW * (fine < FEWEST)}" if fine else "",
         "episodes": " or ".join(map(str, sorted({row["episodes"] for row in record["trained"]}))),
         "decisions": these.DECISIONS,
         "rows": table(
