@@ -30,6 +30,8 @@ NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
     "task": TASKS, "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS,
 }  # fmt: skip
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
+OWN = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
+LENGTHS = ("episode_steps", "max_episode_steps")  # keywords that limit an episode, in control steps and in decisions
 _FEATURES = 512  # of a picture, that Stable-Baselines3's convolutions pass on to the layers
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
@@ -172,11 +174,6 @@ class EnvSettings:
         changed = [name for name in others if getattr(self, name) not in (None, getattr(default, name))]
         pairs = [(f"--{'dt' if name == 'control_dt' else name}", str(getattr(self, name))) for name in changed]
         return ["--task", self.task, *(word for pair in pairs for word in pair)]
-
-    @property
-    def setting(self) -> Setting:
-        """The contact model and its settings, in one form."""
-        return setting_of(self.env_settings)
 
 
 # Bounds of the settings that are real numbers.

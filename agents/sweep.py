@@ -48,8 +48,9 @@ from agents.files import (
     report_skipped,
 )
 from agents.policies.registry import find_policy, is_function, runs_code, with_chosen_env
+from agents.policies.scripted import PolicyWithEnv
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
-from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
+from agents.settings import EPISODE_STEPS, LENGTHS, NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from agents.user_code import is_object, load, texts_of
@@ -334,7 +335,7 @@ def grid(
     for name, (env, nouns) in product(names, environments):
         if nouns and not with_chosen_env(name):
             raise ValueError(f"setting must have no {' or '.join(nouns)} for {name}: the policy has its own")
-        find_policy(name, env, 0, trust, with_objects(nouns))
+        _found(name, env, nouns, 0, trust)
     return [
         {"policy": name, **asdict(env), **nouns, "seed": seed, "episodes": episodes}
         for name, (env, nouns), seed in product(names, environments, range(seeds))
@@ -370,6 +371,11 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
 
 
+def _found(name: str, env: EnvSettings, nouns: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
+    """A policy in the environment of its row, also a model that env.json describes in another one."""
+    return find_policy(name, env, seed, trust, {**env.env_settings, **dict.fromkeys(LENGTHS, EPISODE_STEPS), **nouns})
+
+
 def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, Any]:
     """Evaluate a policy, or train and evaluate the best model: columns of the table.
 
@@ -381,8 +387,8 @@ def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, A
     load(set(code_named([settings])).intersection(code.names), code.texts)
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
-        nouns = with_objects({name: settings[name] for name in NOUNS if name in settings})
-        acting = find_policy(settings["policy"], env, starts, code.trust, nouns)
+        nouns = {name: settings[name] for name in NOUNS if name in settings}
+        acting = _found(settings["policy"], env, nouns, starts, code.trust)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
         acting = find_policy(str(_trained(folder, env)), env)

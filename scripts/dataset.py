@@ -26,7 +26,6 @@ from agents.policies.planner import planner_for
 from agents.policies.scripted import PLAIN, Policy, PolicyWithEnv, RandomPolicy
 from agents.runs import versions
 from agents.settings import EnvSettings
-from jackbox_env import Scene
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import ROOT, command_line
 from jackbox_env.tools.files import write_text
@@ -48,7 +47,7 @@ class Arguments:
 def policies(task: str) -> dict[str, PolicyWithEnv]:
     """The policies by name, made without the registry, which needs torch."""
     planner, network = (
-        planner_for(EnvSettings(task=task, contact="exact"), Scene()),
+        planner_for(EnvSettings(task=task).env_settings),
         read_policy(SHIPPED / f"{task}-ppo"),
     )
     return {"random": PolicyWithEnv(RandomPolicy(0), PLAIN), "ppo": network.in_env, "planner": planner.in_env}

@@ -7,10 +7,10 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from agents.settings import EnvSettings, SceneFields, scene_as_json
-from agents.user_code import load
+from agents.settings import OWN, EnvSettings, SceneFields, scene_as_json, with_objects
+from agents.user_code import is_object, load
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
 from jackbox_env.tools.files import check_new, check_new_file, new_file, new_folder, write_json
@@ -36,7 +36,8 @@ class Arguments:
         "box level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 "
         "s; planner-fast: fewer, 1 ms; ppo: the network of the task in agents/trained; distilled: trained on exact "
         "rollouts, needs none at run time; or run folders, exported policies, model files, or file.py:function, which "
-        "returns actions for observations. All but model files play on the task and in the scene given here."
+        "returns actions for observations. All play the same episodes: of the options here, or as env.json beside a "
+        "model file describes."
     )
     episodes: int = 128
     """Episodes of each policy."""
@@ -56,12 +57,13 @@ class Arguments:
     (
         "Unpickle models that have no settings.json beside them, and run the code that settings.json or env.json "
         "names: only of people you trust. Such models play in the environment that env.json beside them describes, "
-        "which jackbox_env.sb3.save_model writes; options here that are not the default go before it."
+        "which jackbox_env.sb3.save_model writes; --env and options that are not the default go before it. Beside "
+        "other policies it must be theirs, but for observation, action, action_repeat and torque."
     )
     env: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     (
-        "A keyword of the environment of model files and functions, once for each: --env action=landing --env "
-        "action_repeat=bounce. Objects of your own: task=file.py:name."
+        "A keyword of the environment, once for each: --env episode_steps=400 --env task=file.py:name. All policies "
+        "play with it, but observation, action, action_repeat and torque are of model files and functions alone."
     )
     vecnormalize: Path | None = None
     """File of the statistics by which VecNormalize normalized what a model observes, if it has no env.json."""
@@ -98,53 +100,61 @@ def main() -> None:
     _check(arguments)
     load(settings.objects.values())
     progress("Loading PyTorch and Stable-Baselines3 ...")
-    from agents.evaluation.provenance import describe_env, note_other_environment
+    from agents.evaluation.provenance import describe_env, note_other_environment, shared_environment
     from agents.evaluation.returns import evaluate, table
     from agents.policies.models import keywords_of
-    from agents.policies.registry import find_policy, is_function, with_chosen_env
     from agents.runs import versions
     from agents.training.models import derived_seed
 
-    load(filter(is_function, arguments.policy))
     chosen = keywords_of(arguments.env)
-    if (chosen or arguments.vecnormalize) and not any(map(with_chosen_env, arguments.policy)):
-        raise ValueError(
-            f"--env and --vecnormalize are for model files and functions, got {', '.join(arguments.policy)}"
-        )
-    acts = {
-        name: find_policy(name, settings, arguments.seed, arguments.trust, chosen, arguments.vecnormalize)
-        for name in arguments.policy
-    }
+    acts = _policies(arguments, settings, chosen)
+    of_all = {name: value for name, value in chosen.items() if name not in OWN}
+    env = shared_environment(acts, with_objects({**settings.env_settings, **of_all}))
+    names = {name: value for name, value in {**settings.objects, **of_all}.items() if is_object(value)}
     if "torch" in sys.modules:  # small networks are fastest on one thread
         sys.modules["torch"].set_num_threads(1)
-    print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(settings)}")
+    print(f"{arguments.episodes} episodes each, seed {arguments.seed}, {describe_env(env, names)}")
     rows = []
-    for name in arguments.policy:
-        note_other_environment(name, acts[name], settings)
-        counts = arguments.episodes, arguments.seed
-        rows.append(evaluate(name, acts[name], settings.env_settings, *counts, progress=True))
+    for name, acting in acts.items():
+        note_other_environment(name, acting, env)
+        rows.append(evaluate(name, acting, env, arguments.episodes, arguments.seed, progress=True))
     print(table(rows))
     if arguments.film is not None:
         from agents.evaluation.film import film_episode
 
         start = derived_seed("evaluation", arguments.seed)
-        film_episode(acts, settings.env_settings, arguments.film, start, arguments.film_episodes)
+        film_episode(acts, env, arguments.film, start, arguments.film_episodes)
     if arguments.json is not None:
         results = [{**row.as_json(), "keywords": acts[row.policy].named} for row in rows]
-        env = {**settings.env_settings, **settings.objects}
-        record = {"env": env, "seed": arguments.seed, "versions": versions(), "results": results}
+        record = {"env": {**env, **names}, "seed": arguments.seed, "versions": versions(), "results": results}
         with new_file(arguments.json) as partial:
             write_json(partial, json.loads(json.dumps(record, default=repr)))
     if arguments.html:
-        _write_pages(arguments.folder, acts, settings, arguments.seed)
+        _write_pages(arguments.folder, acts, env, arguments.seed)
 
 
-def _write_pages(path: Path | None, acts: dict[str, PolicyWithEnv], settings: EnvSettings, seed: int) -> None:
+def _policies(arguments: Arguments, settings: EnvSettings, chosen: dict[str, Any]) -> dict[str, PolicyWithEnv]:
+    """The policies by the names of their rows, which show if a policy does not choose the torque."""
+    from agents.policies.registry import POLICIES, find_policy, is_function, with_chosen_env
+
+    load(filter(is_function, arguments.policy))
+    for_models = [f"--env {name}" for name in OWN if name in chosen] + ["--vecnormalize"] * bool(arguments.vecnormalize)
+    if for_models and not any(map(with_chosen_env, arguments.policy)):
+        raise ValueError(f"{for_models[0]} is for model files and functions, got {', '.join(arguments.policy)}")
+    acts = {
+        name: find_policy(name, settings, arguments.seed, arguments.trust, chosen, arguments.vecnormalize)
+        for name in arguments.policy
+    }
+    driven = {name for name, acting in acts.items() if acting.keywords.get("torque") == "chirp"}.difference(POLICIES)
+    return {f"{name} (torque chirp)" if name in driven else name: acting for name, acting in acts.items()}
+
+
+def _write_pages(path: Path | None, acts: dict[str, PolicyWithEnv], env: dict[str, Any], seed: int) -> None:
     """Write an animated page of each policy into a new folder, and print the paths."""
     from agents.evaluation.episodes import write_pages
 
     earned = dict[str, float]()
-    folder = new_folder(path, "evaluate", lambda made: earned.update(write_pages(made, acts, settings, seed)))
+    folder = new_folder(path, "evaluate", lambda made: earned.update(write_pages(made, acts, env, seed)))
     print("One episode of each, as a page that any browser opens:")
     for page, one in earned.items():
         print(f"  {folder / page}: return {one:.1f}")

@@ -79,7 +79,7 @@ def main() -> None:
         try_out(settings)  # raises before there is a folder
         folder = new_folder(arguments.folder, settings.task.rpartition(":")[2], lambda made: describe(made, settings))
     trust = ["--trust"] if settings.objects else []
-    print(f"Training on {describe_env(settings)}")
+    print(f"Training on {describe_env(settings.env_settings, settings.objects)}")
     try:
         train(settings, folder, progress=arguments.progress)
     except KeyboardInterrupt:

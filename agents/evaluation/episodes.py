@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.policies.scripted import PolicyWithEnv
-from agents.settings import EnvSettings, setting_of
+from agents.settings import setting_of
 from agents.training.models import derived_seed
 from jackbox_env import JackInBoxEnv
 from jackbox_env.envs.decisions import ControlStep
@@ -53,8 +53,8 @@ def record_episode(acting: PolicyWithEnv, env_settings: dict[str, Any], seed: in
     """
     env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
     observation, info = env.reset(seed=seed)
-    driven, dt = acting.keywords.get("torque") == "chirp", float(env_settings.get("control_dt", 0.02))
-    recorder = Recorder(cast(JackInBoxEnv, env.unwrapped).scene, dt, info["state"], info["time"], driven)
+    inner = cast(JackInBoxEnv, env.unwrapped)
+    recorder = Recorder(inner.scene, inner.control_dt, info["state"], info["time"], inner.torque == "chirp")
     earned = 0.0
     for step in control_steps(env, acting, observation):
         recorder.add(step.state, step.time, step.torque, step.impacts)
@@ -63,12 +63,11 @@ def record_episode(acting: PolicyWithEnv, env_settings: dict[str, Any], seed: in
     return Episode(Motion(recorder.record()), earned)
 
 
-def page_of_episode(path: Path, name: str, acting: PolicyWithEnv, settings: EnvSettings, seed: int) -> float:
+def page_of_episode(path: Path, name: str, acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int) -> float:
     """Write an episode of the policy of this name as a page to a new file; return the sum of its rewards."""
-    motion, earned = record_episode(acting, settings.env_settings, seed)
-    keywords = {**settings.env_settings, **acting.keywords}
-    task = keywords["task"] if isinstance(keywords["task"], str) else " + ".join(keywords["task"].terms)
-    facts = [*model_facts(setting_of(keywords)), ("policy", name), ("task", task), ("return", f"{earned:.1f}")]
+    motion, earned = record_episode(acting, env_settings, seed)
+    task = env_settings["task"] if isinstance(env_settings["task"], str) else " + ".join(env_settings["task"].terms)
+    facts = [*model_facts(setting_of(env_settings)), ("policy", name), ("task", task), ("return", f"{earned:.1f}")]
     write_page(path, motion, f"{name} on {task}, return {earned:.1f}", facts)
     return earned
 
@@ -84,10 +83,12 @@ def page_names(names: Iterable[str]) -> dict[str, str]:
     return files
 
 
-def write_pages(folder: Path, acts: dict[str, PolicyWithEnv], settings: EnvSettings, seed: int) -> dict[str, float]:
+def write_pages(
+    folder: Path, acts: dict[str, PolicyWithEnv], env_settings: dict[str, Any], seed: int
+) -> dict[str, float]:
     """Write a page of an episode of each policy, from the first start that ``seed`` decides; return the returns."""
     start = derived_seed("evaluation", seed)
     return {
-        file: page_of_episode(folder / file, name, acts[name], settings, start)
+        file: page_of_episode(folder / file, name, acts[name], env_settings, start)
         for name, file in page_names(acts).items()
     }

@@ -13,7 +13,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from agents.evaluation.episodes import control_steps
 from agents.policies.scripted import PolicyWithEnv
-from agents.settings import EPISODE_STEPS
 from jackbox_env import JackInBoxEnv
 from jackbox_env.envs.decisions import ControlStep
 from jackbox_env.recording.film import Frame, check_film, write_film
@@ -31,10 +30,17 @@ def film_episode(
 
     Prints the path and the returns.
 
+    Args:
+        acts: policies by name.
+        env_settings: as :func:`.provenance.shared_environment` returns them.
+        path: of the film.
+        seed: of the first start.
+        count: of the episodes.
+
     Raises:
         FileExistsError: there is something at ``path``.
     """
-    seconds = EPISODE_STEPS * float(env_settings.get("control_dt", 0.02))
+    seconds = env_settings["episode_steps"] * env_settings["control_dt"]
     named = {Path(name).name: act for name, act in acts.items()}
     named = named if len(named) == len(acts) else acts
     earned = film(named, env_settings, path, seed, seconds, WIDTH, count=count)

@@ -1,7 +1,8 @@
-"""The environment of an evaluation in words, and notes about policies of another one."""
+"""What a return means: the environment that all policies of a table share, in words, and notes about their training."""
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import fields
@@ -10,35 +11,82 @@ from typing import Any
 
 from agents.policies.registry import POLICIES, SCRIPTED
 from agents.policies.scripted import PolicyWithEnv
-from agents.settings import EnvSettings, setting_of
-from jackbox_env.simulators.fidelity import KEYWORDS, words
+from agents.settings import EPISODE_STEPS, LENGTHS, OWN
+from jackbox_env import Scene
+from jackbox_env.envs.vector import JackInBoxVectorEnv
+from jackbox_env.model.action import repeat_of
+from jackbox_env.simulators.fidelity import KEYWORDS, Setting, named
 from jackbox_env.tools import checks as check
 
-
-def describe_env(settings: EnvSettings) -> str:
-    """The environment in one line: task, contact model, and what differs from the default."""
-    others = [part.name for part in fields(EnvSettings) if part.name not in ("task", *KEYWORDS)]
-    differing = [name for name in others if getattr(settings, name) != getattr(EnvSettings, name)]
-    more = (f"{name} {getattr(settings, name)}" for name in differing)
-    return ", ".join([f"task {settings.task}", words(settings.setting), *more])
+Facts = dict[str, Any]
+_ALWAYS = ("task", *KEYWORDS)  # in the line about an environment
 
 
-def note_other_environment(name: str, acting: PolicyWithEnv, here: EnvSettings) -> None:
-    """Print a note if a policy was trained, or plays, in another environment, or plans in another scene than drawn."""
-    if name in POLICIES and name not in SCRIPTED and here.randomized:
+def facts_of(keywords: Mapping[str, Any]) -> Facts:
+    """What decides the meaning of a return: all of an environment's keywords but :data:`OWN`, in one form.
+
+    Raises:
+        TypeError, ValueError: the environment refuses a keyword, or an episode has no certain number of control steps.
+    """
+    env = JackInBoxVectorEnv(1, **keywords)
+    repeat, decisions = repeat_of(env.action_repeat, env.control_dt), env.max_episode_steps
+    shortest = min(2, repeat.max_contact_steps) or repeat.steps  # until an impact a decision lasts two steps or more
+    most_decisions = math.inf if decisions == -1 else decisions
+    least, most = (min(env.episode_steps or math.inf, most_decisions * steps) for steps in (shortest, repeat.steps))
+    if not least == most < math.inf:
+        raise ValueError(
+            f"episodes must have one number of control steps, got {least} to {most} with max_episode_steps "
+            f"{decisions}: use --env episode_steps={env.episode_steps or EPISODE_STEPS}"
+        )
+    scene, plain, names = env.scenes[0], Scene(), [part.name for part in fields(Scene)]
+    changed = [name for name in names if name not in scene.derived and getattr(scene, name) != getattr(plain, name)]
+    return {
+        "task": env.task, **named(Setting(env.contact, env.substeps)), "control_dt": env.control_dt,
+        "scene": {name: getattr(scene, name) for name in changed}, "randomize": env.randomize or None,
+        "episode_steps": most,
+    }  # fmt: skip
+
+
+def differences(facts: Facts, others: Facts, names: Mapping[str, str] = MappingProxyType({})) -> str:
+    """The facts that others lack or have with another value, in one line; ``names`` are those of some values."""
+    differing = {name: value for name, value in facts.items() if name not in others or others[name] != value}
+    texts = {name: value if isinstance(value, str) else check.shown(value) for name, value in differing.items()}
+    return ", ".join(f"{name} {names.get(name, text)}" for name, text in texts.items())
+
+
+def shared_environment(acts: Mapping[str, PolicyWithEnv], here: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of the environment in which all these policies play; only :data:`OWN` are each policy's own.
+
+    Args:
+        acts: policies by name; their keywords go before ``here``.
+        here: keywords of the environment.
+
+    Raises:
+        ValueError: their environments differ in something else, so that their returns cannot be compared.
+    """
+    facts = {name: facts_of({**here, **act.keywords}) for name, act in acts.items()}
+    first, shared = next(iter(facts.items()))
+    for name, others in facts.items():
+        if others != shared:
+            raise ValueError(
+                f"{name} would play with {differences(others, shared)}, {first} with "
+                f"{differences(shared, others)}, but a table compares the same episodes: choose for all, "
+                "as by --env task=spin or --env episode_steps=500, or evaluate one at a time"
+            )
+    steps = dict.fromkeys(LENGTHS, shared["episode_steps"])
+    return {name: value for name, value in {**here, **acts[first].keywords, **steps}.items() if name not in OWN}
+
+
+def describe_env(keywords: Mapping[str, Any], names: Mapping[str, str]) -> str:
+    """An environment in one line: task, contact model, and what differs from the default; objects by their names."""
+    usual = {name: value for name, value in facts_of({}).items() if name not in _ALWAYS}
+    return differences(facts_of(keywords), usual, names)
+
+
+def note_other_environment(name: str, acting: PolicyWithEnv, env: Mapping[str, Any]) -> None:
+    """Print a note if a policy was trained in another environment, or plans in another scene than is drawn."""
+    if name in POLICIES and name not in SCRIPTED and env["randomize"]:
         print(f"Note: {name} plans in the scene that is given, not in those that randomize draws", file=sys.stderr)
     trained = getattr(acting.policy, "settings", None)
-    if trained is not None:
-        differing, verb = differences(trained.env_settings, here, trained.objects), "was trained"
-    else:
-        differing, verb = differences({**here.env_settings, **acting.keywords}, here), "plays"
-    if differing:
-        print(f"Note: {name} {verb} in another environment ({differing})", file=sys.stderr)
-
-
-def differences(keywords: dict[str, Any], here: EnvSettings, objects: Mapping[str, str] = MappingProxyType({})) -> str:
-    """What differs in an environment of these keywords, in words; ``objects`` are names of some of the values."""
-    names = [name for name, value in here.env_settings.items() if name not in KEYWORDS and keywords[name] != value]
-    setting = setting_of(keywords)
-    others = [f"{name} {check.shown(objects.get(name, keywords[name]))}" for name in names]
-    return ", ".join([words(setting)] * (setting != here.setting) + others)
+    if trained and (other := differences(facts_of(trained.env_settings), facts_of(env), trained.objects)):
+        print(f"Note: {name} was trained in another environment ({other})", file=sys.stderr)

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from agents.files import as_value_error, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import EnvSettings, with_objects
+from agents.settings import LENGTHS, OWN, EnvSettings, with_objects
 from agents.user_code import is_object
 from agents.user_code import load as load_code
 from jackbox_env import JackInBoxEnv
-from jackbox_env.simulators.fidelity import FURTHER
+from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
 
 # Algorithms by a name that only their models store; PPO's have A2C's too.
@@ -35,7 +35,7 @@ _ALGORITHMS = {
     "exploration_fraction": "DQN",
 }  # fmt: skip
 _CIRCLES = [4, 5], [7, 8]  # components of a built-in observation that are a cosine and a sine
-_NAMES = (
+ENV_KEYWORDS = (
     *(name for name in signature(JackInBoxEnv).parameters if name != "settings" and not name.startswith("render")),
     *FURTHER, "max_episode_steps",
 )  # fmt: skip
@@ -126,7 +126,9 @@ def stored_beside(file: Path) -> dict[str, Any] | None:
 
 
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:
-    """Keywords of the environment from words ``name=value``: a value is JSON, a name, or ``file.py:name``.
+    """Keywords of the environment from words ``name=value``: a value is JSON, a name, or ``file.py:name``, then loaded.
+
+    Those that choose the contact model come together, and the control steps of an episode are not cut by its decisions.
 
     Raises:
         ValueError: a word is not of that form, or the environment has no such keyword.
@@ -139,9 +141,11 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
         keywords[name] = value
         with suppress(ValueError):
             keywords[name] = json.loads(value)
-    check.known_keys("--env", keywords, _NAMES)
+    check.known_keys("--env", keywords, ENV_KEYWORDS)
     load_code(filter(is_object, keywords.values()))
-    return with_objects(keywords)
+    contact = dict.fromkeys(KEYWORDS if keywords.keys() & {*KEYWORDS} else ())
+    lengths = dict.fromkeys(LENGTHS if "episode_steps" in keywords else (), keywords.get("episode_steps"))
+    return {**contact, **lengths, **keywords}
 
 
 def model_in_env(
@@ -157,7 +161,7 @@ def model_in_env(
         raise ValueError(f"{file} is described by env.json beside it: leave --vecnormalize out, or move the model")
     if stored is None:
         stored = {"env": {}, "wrappers": _statistics(vecnormalize) if vecnormalize else [], "missing": []}
-        if not chosen:
+        if not chosen.keys() & {*OWN}:
             note = "describes it, so it chooses a torque in every control step (--env)"
             print(f"Note: no env.json beside {file} {note}", file=sys.stderr)
         if vecnormalize is None and _is_normalized(model):

@@ -9,7 +9,6 @@ import numpy as np
 from agents.policies.network import SHIPPED
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, torques
 from agents.policies.value import Value, ValuedSearch, read_value
-from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env.model.observation import BOUNDS, state_of
 from jackbox_env.planning.icem import Plans, Search
@@ -31,9 +30,9 @@ FAST_SEARCHES: dict[str, dict[str, Any]] = {
 _KNOTS_WITHOUT_VALUE = 32  # if a task's value was trained for another scene or control step
 
 
-def decision_steps(settings: EnvSettings) -> int:
+def decision_steps(control_dt: float) -> int:
     """Control steps between decisions."""
-    return max(1, round(DECISION_INTERVAL / settings.control_dt))
+    return max(1, round(DECISION_INTERVAL / control_dt))
 
 
 class Planner:
@@ -106,20 +105,18 @@ class Planner:
         return PolicyWithEnv(self, {**PLAIN, "action_repeat": self.repeat})
 
 
-def planner_for(
-    settings: EnvSettings, scene: Scene, seed: int = 0, searches: dict[str, dict[str, Any]] = SEARCHES
-) -> Planner:
-    """The planner of an environment, with the value in the repository if there is one for this very scene and task.
+def planner_for(keywords: dict[str, Any], seed: int = 0, searches: dict[str, dict[str, Any]] = SEARCHES) -> Planner:
+    """The planner of an environment of these keywords, with the shipped value if there is one for its scene and task.
 
     Raises:
         FileNotFoundError, ValueError: that value is damaged.
     """
-    search = {"seed": seed, **searches.get(settings.task, searches["rattle"])}
-    folder = SHIPPED / f"{settings.task}-value"
-    if folder.is_dir():
+    task, control_dt, scene = keywords["task"], keywords["control_dt"], Scene.of(keywords["scene"])
+    search = {"seed": seed, **searches.get(str(task), searches["rattle"])}
+    if isinstance(task, str) and (folder := SHIPPED / f"{task}-value").is_dir():
         value = read_value(folder)
         stored = value.settings
         made_for = stored.task, stored.control_dt, Scene.of(stored.scene_fields).changed(drive=None)
-        suits = made_for == (settings.task, settings.control_dt, scene.changed(drive=None))
+        suits = made_for == (task, control_dt, scene.changed(drive=None))
         search |= {"value": value} if suits else {"knots": _KNOTS_WITHOUT_VALUE}
-    return Planner(scene, settings.env_settings["task"], settings.control_dt, repeat=decision_steps(settings), **search)
+    return Planner(scene, task, control_dt, repeat=decision_steps(control_dt), **search)

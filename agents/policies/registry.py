@@ -15,23 +15,23 @@ from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
-from agents.settings import EnvSettings, TrainSettings
+from agents.settings import OWN, EnvSettings, TrainSettings, with_objects
 from agents.user_code import is_loaded, loaded
 from agents.user_code import load as load_code
-from jackbox_env import Scene
+from jackbox_env import Scene, Task
 from jackbox_env.tools import checks as check
 
-Maker = Callable[[EnvSettings, Scene, int], PolicyWithEnv]  # of the environment's settings, its scene, and a seed
+Maker = Callable[[dict[str, Any], int], PolicyWithEnv]  # of the environment's keywords and a seed
 SCRIPTED: dict[str, Maker] = {
-    "random": lambda _, scene, seed: PolicyWithEnv(RandomPolicy(seed), PLAIN),
+    "random": lambda _, seed: PolicyWithEnv(RandomPolicy(seed), PLAIN),
     "chirp": lambda *_: PolicyWithEnv(ZeroPolicy(), {**PLAIN, "torque": "chirp"}),
     "zero": lambda *_: PolicyWithEnv(ZeroPolicy(), PLAIN),
-    "level": lambda _, scene, seed: PolicyWithEnv(LevelPolicy(scene), PLAIN),
+    "level": lambda keywords, _: PolicyWithEnv(LevelPolicy(Scene.of(keywords["scene"])), PLAIN),
 }
 POLICIES: dict[str, Maker] = {
     **SCRIPTED,
-    "planner-fast": lambda settings, scene, seed: planner_for(settings, scene, seed, FAST_SEARCHES).in_env,
-    "planner": lambda settings, scene, seed: planner_for(settings, scene, seed).in_env,
+    "planner-fast": lambda keywords, seed: planner_for(keywords, seed, FAST_SEARCHES).in_env,
+    "planner": lambda keywords, seed: planner_for(keywords, seed).in_env,
 }
 
 
@@ -51,24 +51,27 @@ def find_policy(
         seed: of what it draws.
         trust: unpickle a model that has no settings.json, and run the code that its settings, its env.json or the name
             of a function name; without it they must be loaded already (:func:`agents.user_code.load`).
-        chosen: keywords of the environment of such a model or function, over those that env.json has.
+        chosen: keywords of the environment, over those of ``settings`` and of env.json. What a policy observes and does
+            (:data:`agents.settings.OWN`) is chosen for such models and functions alone.
         vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
     Raises:
         FileNotFoundError: it is none of these.
         ValueError: it cannot be read or does not fit.
     """
+    chosen = with_objects(chosen or {})
+    keywords = {**settings.env_settings, **chosen}
     if name in POLICIES:
-        return POLICIES[name](settings, Scene.of(settings.scene_fields), seed)
-    if name in shipped_names(settings.task):
-        return _read(SHIPPED / f"{settings.task}-{name}")
+        return POLICIES[name](keywords, seed)
+    if name in (shipped := shipped_names(keywords["task"])):
+        return _read(SHIPPED / f"{keywords['task']}-{name}")
     if is_function(name):
         load_code([name] if trust and not is_loaded(name) else [])
         if not callable(function := loaded(name)):
             raise ValueError(f"a policy must be a function of observations, got {name}, {check.shown(function)}")
-        return PolicyWithEnv(StatelessPolicy(function), {**PLAIN, **(chosen or {})})
+        return PolicyWithEnv(StatelessPolicy(function), {**PLAIN, **chosen})
     if not Path(name).exists():
-        known = ", ".join((*POLICIES, *shipped_names(settings.task)))
+        known = ", ".join((*POLICIES, *shipped))
         raise FileNotFoundError(
             f"a policy must be one of {known}, or a run folder, a model file or file.py:function, got {name!r}"
         )
@@ -87,14 +90,14 @@ def find_policy(
     stored = stored_beside(file)
     model = load(file, stored["algorithm"] if stored else None)
     trained_by = getattr(model, TRAINED_BY, None)
-    if trained_by is None or stored or chosen or vecnormalize:
-        return model_in_env(file, model, stored, settings, chosen or {}, vecnormalize)
+    if trained_by is None or stored or vecnormalize or chosen.keys() & {*OWN}:
+        return model_in_env(file, model, stored, settings, chosen, vecnormalize)
     load_code(TrainSettings.of(trained_by).objects.values())
     return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
 
 
 def with_chosen_env(name: str) -> bool:
-    """Whether ``chosen`` keywords apply to a policy: to a function, or a model file without settings.json."""
+    """Whether it is chosen what a policy observes and does: a function, or a model file without settings.json."""
     return is_function(name) or (Path(name).is_file() and run_folder(Path(name)) is None)
 
 
@@ -126,7 +129,7 @@ def _read(folder: Path) -> PolicyWithEnv:
     return read_landing(folder).in_env if (folder / LANDING).is_file() else read_policy(folder).in_env
 
 
-def shipped_names(task: str) -> list[str]:
-    """Names of the trained policies for a task that come with the repository."""
+def shipped_names(task: str | Task) -> list[str]:
+    """Names of the trained policies for a task that come with the repository; none for a task of one's own."""
     folders = [path for path in SHIPPED.iterdir() if path.name.startswith(f"{task}-") and not (path / VALUE).is_file()]
     return sorted(path.name.removeprefix(f"{task}-") for path in folders)

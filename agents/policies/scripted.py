@@ -45,8 +45,7 @@ class PolicyWithEnv(NamedTuple):
     def named(self) -> dict[str, Any]:
         """The keywords, with the names of a user's objects if the settings of the policy have them."""
         settings = getattr(self.policy, "settings", None)
-        objects = {} if settings is None else settings.objects
-        return {name: objects.get(name, value) for name, value in self.keywords.items()}
+        return {name: getattr(settings, name, value) for name, value in self.keywords.items()}
 
 
 class StatelessPolicy:

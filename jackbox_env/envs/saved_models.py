@@ -158,8 +158,9 @@ def _storable(spec: EnvSpec) -> tuple[dict[str, Any], list[str]]:
     keywords = {**dict.fromkeys(KEYWORDS), **spec.kwargs}
     env = {name: _storable_value(name, value) for name, value in keywords.items() if name not in _PICTURES}
     missing = [name for name, value in env.items() if value is None and keywords[name] is not None]
-    if spec.max_episode_steps not in (None, gym.spec("JackInBox-v0").max_episode_steps):
-        env["max_episode_steps"] = spec.max_episode_steps
+    decisions = spec.max_episode_steps or spec.kwargs.get("episode_steps")  # without a limit of decisions that of steps
+    if decisions not in (None, gym.spec("JackInBox-v0").max_episode_steps):
+        env["max_episode_steps"] = decisions
     plain: dict[str, Any] = json.loads(json.dumps(env, default=lambda number: number.tolist()))  # of numpy
     return {name: value for name, value in plain.items() if name not in missing}, missing
 

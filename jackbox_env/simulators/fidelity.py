@@ -69,8 +69,12 @@ def chosen(by: object) -> dict[str, Any]:
     return values or {"fidelity": COMMANDS}
 
 
+def named(setting: Setting) -> dict[str, Any]:
+    """The keywords of a setting: its fidelity's name if it has one, else the contact model and its settings."""
+    names = [name for name, one in FIDELITIES.items() if one == explicit(setting)]
+    return {"fidelity": names[0]} if names else setting._asdict()
+
+
 def words(setting: Setting) -> str:
-    """A setting by its fidelity's name if it has one: "fidelity exact", "contact pymunk, substeps 8"."""
-    names = [name for name, named in FIDELITIES.items() if named == explicit(setting)]
-    parts = [f"{name} {value}" for name, value in setting._asdict().items() if value is not None]
-    return f"fidelity {names[0]}" if names else ", ".join(parts)
+    """A setting as :func:`named` has it: "fidelity exact", "contact pymunk, substeps 8"."""
+    return ", ".join(f"{name} {value}" for name, value in named(setting).items())

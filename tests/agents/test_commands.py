@@ -106,7 +106,7 @@ def test_evaluate_compares_policies_and_writes_json(tmp_path: Path, run: Path) -
     assert all(len(row["returns"]) == row["episodes"] == 4 for row in stored["results"])
     assert f"{stored['results'][0]['mean']:.1f}" in done.stdout
     assert "4 episodes each, seed 0, task spin, fidelity coarse" in done.stdout
-    for name, differing in ((str(run), "fidelity exact, task 'juggle'"), ("ppo", "fidelity exact")):
+    for name, differing in ((str(run), "task juggle, fidelity exact"), ("ppo", "fidelity exact")):
         assert f"Note: {name} was trained in another environment ({differing})" in done.stderr
     same = script("evaluate", "--policy", str(run), "ppo", "--episodes", "2", "--contact", "exact", cwd=tmp_path)
     assert "Note:" not in same.stderr  # another word for the same

@@ -13,11 +13,14 @@ from agents import user_code
 from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
+from agents.policies.models import ENV_KEYWORDS
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings
+from agents.settings import OWN, EnvSettings
 from agents.training import ppo as training
 from agents.training.models import derived_seed
+from jackbox_env.sb3 import make_sb3_vec_env, save_model
+from jackbox_env.simulators.fidelity import KEYWORDS
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 from tests.agents.test_sweep import MINE
@@ -93,9 +96,90 @@ def test_an_empty_file_is_no_model(tmp_path: Path) -> None:
     assert done.stderr.startswith("empty.zip is no model of Stable-Baselines3: ")
 
 
+# A value of each keyword of the environment, and for those that change what a return means, how it is printed.
+VALUES: dict[str, tuple[Any, str]] = {
+    "contact": ("pymunk", "fidelity balanced"), "substeps": (8, "contact pymunk, substeps 8"),
+    "fidelity": ("coarse", "fidelity coarse"), "scene": ({"gravity": 2.0}, "scene {'gravity': 2.0}"),
+    "task": ("spin", "task spin"), "control_dt": (0.05, "control_dt 0.05"),
+    "randomize": ({"gravity": [1, 4]}, "randomize {'gravity': [1, 4]}"), "episode_steps": (50, "episode_steps 50"),
+    "max_episode_steps": (40, "episode_steps 40"), "observation": ("landing", ""), "action": ("discrete", ""),
+    "action_repeat": (3, ""), "torque": ("chirp", ""),
+}  # fmt: skip
+STILL = "import numpy as np\ndef act(observations):\n    return np.zeros(len(observations), int)\n"
+TWO = ["--trust", "--episodes", "2", "--json", "out.json"]
+
+
+def returns_in(path: Path) -> list[list[float]]:
+    return [row["returns"] for row in json.loads(path.read_text())["results"]]
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a function, a saved model, and their returns beside those of zero."""
+    from stable_baselines3 import PPO
+
+    folder = tmp_path_factory.mktemp("usual")
+    (folder / "still.py").write_text(STILL)
+    save_model(PPO("MlpPolicy", make_sb3_vec_env(1, fidelity="exact")), folder / "model.zip")
+    script("evaluate", "--policy", "zero", "still.py:act", "model.zip", *TWO, cwd=folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name in ENV_KEYWORDS if name not in OWN])
+def test_policies_are_compared_on_the_same_episodes(name: str, tmp_path: Path, usual: Path) -> None:
+    value, fact = VALUES[name]
+    env, stored = tmp_path / "env.json", json.loads((usual / "env.json").read_text())
+    stored["model.zip"]["env"] |= {"fidelity": None} if name in KEYWORDS else {}
+    stored["model.zip"]["env"][name] = value
+    env.write_text(json.dumps(stored))
+    shutil.copy(usual / "model.zip", tmp_path)
+    assert fact in script("evaluate", "--policy", "model.zip", *TWO[:3], cwd=tmp_path).stdout
+    refused = script("evaluate", "--policy", "zero", "model.zip", "--film", "film.gif", *TWO, cwd=tmp_path, status=2)
+    assert f"model.zip would play with {fact}, zero with " in refused.stderr.splitlines()[-1]
+    assert {path.name for path in tmp_path.iterdir()} == {"env.json", "model.zip"}
+    chosen = ["--policy", "zero", f"{usual}/still.py:act", "model.zip", "--env", f"{name}={json.dumps(value)}"]
+    script("evaluate", *chosen, *TWO, cwd=tmp_path)
+    for before, after in zip(returns_in(usual / "out.json"), returns_in(tmp_path / "out.json"), strict=True):
+        assert before != after
+    still, zero, _ = returns_in(tmp_path / "out.json")
+    assert still == zero
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_what_policies_observe_and_do_may_differ(name: str, tmp_path: Path, usual: Path) -> None:
+    chosen = ["--policy", "zero", f"{usual}/still.py:act", "--env", f"{name}={VALUES[name][0]}"]
+    done = script("evaluate", *chosen, *TWO, cwd=tmp_path)
+    assert returns_in(tmp_path / "out.json")[0] == returns_in(usual / "out.json")[0]
+    assert ("still.py:act (torque chirp) |" in done.stdout) == (name == "torque")
+
+
+def test_chosen_keywords_reach_scripted_policies_planners_and_networks_as_options_do(tmp_path: Path) -> None:
+    few = ["--policy", "level", "planner-fast", "ppo", "--episodes", "1", "--json"]
+    script("evaluate", *few, "a", "--task", "spin", "--scene", '{"gravity": 2.0}', "--dt", "0.05", cwd=tmp_path)
+    words = "task=spin", 'scene={"gravity": 2.0}', "control_dt=0.05"
+    script("evaluate", *few, "b", *(word for one in words for word in ("--env", one)), cwd=tmp_path)
+    assert returns_in(tmp_path / "a") == returns_in(tmp_path / "b")
+
+
+def test_a_film_is_as_long_as_the_episodes_of_the_table(tmp_path: Path) -> None:
+    import imageio.v3 as imageio
+
+    few = ["--policy", "zero", "chirp", "--episodes", "1", "--env", "episode_steps=24", "--env", "control_dt=0.05"]
+    done = script("evaluate", *few, "--film", "film.gif", "--json", "out.json", cwd=tmp_path)
+    assert len(imageio.imread(tmp_path / "film.gif")) == 24
+    ((one,), (other,)) = returns_in(tmp_path / "out.json")
+    assert done.stdout.endswith(f"  zero: return {one:.1f}\n  chirp: return {other:.1f}\n")
+
+
+def test_an_episode_of_a_number_of_bounces_is_refused(tmp_path: Path, usual: Path) -> None:
+    bounces = ["--policy", f"{usual}/still.py:act", "--env", "action_repeat=bounce", "--env", "max_episode_steps=20"]
+    refused = script("evaluate", *bounces, "--trust", cwd=tmp_path, status=2).stderr
+    assert "got 40 to 500 with max_episode_steps 20: use --env episode_steps=500" in refused
+
+
 def test_a_planner_among_varied_scenes_is_noted(capsys: pytest.CaptureFixture[str]) -> None:
     settings = EnvSettings(randomize='{"jack_mass": [2, 6]}')
-    note_other_environment("planner", find_policy("planner", settings), settings)
+    note_other_environment("planner", find_policy("planner", settings), settings.env_settings)
     assert capsys.readouterr().err.startswith("Note: planner plans in the scene that is given")
 
 
@@ -131,7 +215,7 @@ def test_a_task_and_an_observation_of_a_file_train_and_play_and_run_only_if_trus
         forget()
         again = ["--policy", *policies, "--episodes", "2", "--trust", "--json", "again.json"]
         noted = script("evaluate", *again, cwd=tmp_path / folder).stderr
-        assert f"{policies[0]} was trained in another environment (task 'mine.py:task')" in noted
+        assert f"{policies[0]} was trained in another environment (task mine.py:task)" in noted
         means += [row["mean"] for row in json.loads((tmp_path / folder / "again.json").read_text())["results"]]
     assert len(set(means)) == 1
     forget()

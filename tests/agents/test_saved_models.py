@@ -177,6 +177,8 @@ def test_the_environment_is_stored_with_objects_by_name(tmp_path: Path) -> None:
     assert entry(tmp_path) == {
         "env": {**exact, **stored}, "missing": [], "wrappers": [], "algorithm": "stable_baselines3.ppo.ppo:PPO",
     }  # fmt: skip
+    save_model(PPO("MlpPolicy", native(episode_steps=600, max_episode_steps=-1)), tmp_path / "model.zip")
+    assert entry(tmp_path)["env"] == {**exact, "episode_steps": 600, "max_episode_steps": 600}
     save_model(PPO("MlpPolicy", native(observation=HEIGHT, action=PUSH)), tmp_path / "model.zip")
     of_tests = {"observation": f"{__name__}:HEIGHT", "action": f"{__name__}:PUSH"}
     assert entry(tmp_path)["env"] == {**exact, **of_tests}
@@ -336,7 +338,9 @@ def test_a_model_that_does_not_fit_is_refused_with_what_would(name: str, tmp_pat
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--env", "action_repeat=4"], "--env and --vecnormalize are for model files and functions, got level"),
+        (["--env", "action_repeat=4"], "--env action_repeat is for model files and functions, got level"),
+        (["--vecnormalize", "s.pkl"], "--vecnormalize is for model files and functions, got level"),
+        (["--env", "max_episode_steps=-1"], "one number of control steps, got inf to inf .* use --env episode_steps="),
         (["--env", "repeat=4"], "--env accepts only .* got 'repeat'"),
         (["--env", "landing"], "--env must be name=value, got 'landing'"),
         (["--env", "task=nowhere.py:mine"], "nowhere.py:mine cannot be imported: FileNotFoundError"),
@@ -348,12 +352,9 @@ def test_options_of_models_are_refused_elsewhere(options: list[str], sentence: s
         raise ValueError(done.stderr)
 
 
-def test_notes_say_where_a_model_plays(tmp_path: Path) -> None:
+def test_a_model_plays_if_it_is_trusted_and_notes_that_it_is_not_described(tmp_path: Path) -> None:
     save_model(trained(native(task="spin")), tmp_path / "model.zip")
     few = ["--policy", "model.zip", "--episodes", "1"]
-    done = script("evaluate", *few, "--trust", cwd=tmp_path)
-    assert "Note: model.zip plays in another environment (task 'spin')" in done.stderr
-    assert "Note:" not in script("evaluate", *few, "--trust", "--task", "spin", cwd=tmp_path).stderr
     varied = ["--task", "spin", "--randomize", '{"jack_mass": [2, 6]}']
     assert script("evaluate", *few, "--trust", *varied, cwd=tmp_path).stdout.count("| model.zip") == 1
     assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
@@ -399,6 +400,7 @@ def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_pa
     assert out == f"{0.5 * TINY.learning_rate} {actions.ravel().tolist()}\n"
     again: Any = PPO.load(tmp_path / "model.zip", device="cpu")
     assert TrainSettings.of(again.trained_by) == settings
-    assert find_policy(str(tmp_path / "model.zip"), HERE, trust=True).keywords == settings.nouns
+    for chosen in ({}, {"episode_steps": 100}):  # its nouns are not chosen
+        assert find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen=chosen).keywords == settings.nouns
     for remaining in (1.0, 0.25, 0.0):  # it falls to 0
         assert model.lr_schedule(remaining) == pytest.approx(TINY.learning_rate * remaining, abs=1e-18)

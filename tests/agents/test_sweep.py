@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stable_baselines3 import PPO
 
 from agents import sweep
 from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
+from agents.policies.scripted import PolicyWithEnv
 from agents.settings import NOUNS, EnvSettings
 from agents.sweep import (
     LOG,
@@ -36,6 +38,7 @@ from agents.sweep import (
     on_cores,
     read_sweep,
 )
+from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import ROOT, script
 
@@ -258,6 +261,17 @@ def test_users_objects_and_functions_run_and_resume_with_the_text_that_they_had(
         assert table.read_bytes() == before
         (tmp_path / "s").rename(tmp_path / f"{grid[0]} ended")
         code.write_text(MINE.format(value=1.0))
+
+
+def test_a_model_plays_in_the_environment_of_its_row(tmp_path: Path) -> None:
+    envs = make_sb3_vec_env(1, task="spin", action_repeat=4, episode_steps=50, max_episode_steps=9)
+    save_model(PPO("MlpPolicy", envs), tmp_path / "model.zip")
+    grid = ["--policy", "model.zip", "--trust", "--setting", "exact", "coarse", "--episodes", "2", "--no-progress"]
+    script("sweep", *grid, "--folder", "s", cwd=tmp_path)
+    policy = find_policy(str(tmp_path / "model.zip"), EnvSettings(), trust=True).policy
+    for row, fidelity in zip(rows_of(tmp_path / "s"), ("exact", "coarse"), strict=True):
+        returns = evaluate("", PolicyWithEnv(policy, {"action_repeat": 4}), {"fidelity": fidelity}, 2, 0)
+        assert (row["task"], row["error"], float(row["mean"])) == ("juggle", "", returns.mean)
 
 
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.settings import EnvSettings
+from agents.settings import EnvSettings, setting_of
 from jackbox_env import FIDELITIES, JackInBoxEnv, JackInBoxVectorEnv, Scene, cheapest
 from jackbox_env.measure import choosing
 from jackbox_env.simulators.fidelity import Setting, resolve
@@ -56,6 +56,8 @@ def test_a_fidelity_and_what_contradicts_it_are_refused(arguments: dict[str, Any
     [
         ({}, Setting("exact")),
         ({"substeps": 8}, Setting("pymunk", 8)),
+        ({"substeps": 4}, Setting("pymunk", 4)),
+        ({"contact": "pymunk"}, Setting("pymunk", 4)),
         ({"contact": "exact", "fidelity": None}, Setting("exact")),
         ({"contact": "pymunk", "substeps": None}, Setting("pymunk", 4)),
         ({"contact": "pymunk", "fidelity": "fine"}, Setting("pymunk", 64)),
@@ -64,13 +66,8 @@ def test_a_fidelity_and_what_contradicts_it_are_refused(arguments: dict[str, Any
 )
 def test_stored_settings_are_read_again(stored: dict[str, Any], meant: Setting) -> None:
     settings = EnvSettings.of(stored)
-    assert settings.setting == meant
+    assert setting_of(settings.env_settings) == meant
     assert EnvSettings.of(asdict(settings)) == settings
-
-
-def test_commands_use_the_exact_model_where_nothing_is_said() -> None:
-    assert EnvSettings().setting == EnvSettings(fidelity="exact").setting == Setting("exact")
-    assert EnvSettings(contact="pymunk").setting == EnvSettings(substeps=4).setting == Setting("pymunk", 4)
 
 
 @pytest.mark.parametrize("name", FIDELITIES)

@@ -65,7 +65,7 @@ def test_a_curve_has_a_point_for_each_evaluation(tmp_path: Path) -> None:
 
 
 def test_plans_by_an_environment_of_the_same_model_earn_the_same() -> None:
-    planner = planner_for(EnvSettings(task="rattle"), Scene(), 1, FAST_SEARCHES)
+    planner = planner_for(EnvSettings(task="rattle").env_settings, 1, FAST_SEARCHES)
     env = JackInBoxEnv(fidelity="exact", task="rattle", action_repeat=planner.repeat, episode_steps=1_000_000)
     env.reset(seed=3)
     states, plans = np.array([env.state]), np.random.default_rng(0).uniform(-1.0, 1.0, (1, 3, 20))

@@ -76,7 +76,7 @@ def untrained(task: str, episodes: int) -> dict[str, Any]:
 def planned(model: str, episodes: int) -> dict[str, Any]:
     """What planner-fast earns on rattle on exact, if it simulates its plans by a contact model."""
     on = EnvSettings(task="rattle")
-    planner = planner_for(on, Scene(), SEED, FAST_SEARCHES)
+    planner = planner_for(on.env_settings, SEED, FAST_SEARCHES)
     if model == "pymunk":
         env = JackInBoxEnv(contact="pymunk", task="rattle", action_repeat=planner.repeat, episode_steps=1_000_000)
         planner.search.evaluate = partial(by_environment, env)  # type: ignore[method-assign]
