@@ -30,7 +30,7 @@ NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
     "task": TASKS, "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS,
 }  # fmt: skip
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
-OWN = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
+PER_POLICY = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
 LENGTHS = ("episode_steps", "max_episode_steps")  # keywords that limit an episode, in control steps and in decisions
 _FEATURES = 512  # of a picture, that Stable-Baselines3's convolutions pass on to the layers
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode

@@ -335,7 +335,7 @@ def grid(
     for name, (env, nouns) in product(names, environments):
         if nouns and not with_chosen_env(name):
             raise ValueError(f"setting must have no {' or '.join(nouns)} for {name}: the policy has its own")
-        _found(name, env, nouns, 0, trust)
+        _policy_in(name, env, nouns, 0, trust)
     return [
         {"policy": name, **asdict(env), **nouns, "seed": seed, "episodes": episodes}
         for name, (env, nouns), seed in product(names, environments, range(seeds))
@@ -371,7 +371,7 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
 
 
-def _found(name: str, env: EnvSettings, nouns: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
+def _policy_in(name: str, env: EnvSettings, nouns: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
     """A policy in the environment of its row, also a model that env.json describes in another one."""
     return find_policy(name, env, seed, trust, {**env.env_settings, **dict.fromkeys(LENGTHS, EPISODE_STEPS), **nouns})
 
@@ -388,7 +388,7 @@ def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, A
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
         nouns = {name: settings[name] for name in NOUNS if name in settings}
-        acting = _found(settings["policy"], env, nouns, starts, code.trust)
+        acting = _policy_in(settings["policy"], env, nouns, starts, code.trust)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
         acting = find_policy(str(_trained(folder, env)), env)

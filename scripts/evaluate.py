@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from agents.settings import OWN, EnvSettings, SceneFields, scene_as_json, with_objects
+from agents.settings import PER_POLICY, EnvSettings, SceneFields, scene_as_json, with_objects
 from agents.user_code import is_object, load
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
@@ -108,7 +108,7 @@ def main() -> None:
 
     chosen = keywords_of(arguments.env)
     acts = _policies(arguments, settings, chosen)
-    of_all = {name: value for name, value in chosen.items() if name not in OWN}
+    of_all = {name: value for name, value in chosen.items() if name not in PER_POLICY}
     env = shared_environment(acts, with_objects({**settings.env_settings, **of_all}))
     names = {name: value for name, value in {**settings.objects, **of_all}.items() if is_object(value)}
     if "torch" in sys.modules:  # small networks are fastest on one thread
@@ -138,7 +138,9 @@ def _policies(arguments: Arguments, settings: EnvSettings, chosen: dict[str, Any
     from agents.policies.registry import POLICIES, find_policy, is_function, with_chosen_env
 
     load(filter(is_function, arguments.policy))
-    for_models = [f"--env {name}" for name in OWN if name in chosen] + ["--vecnormalize"] * bool(arguments.vecnormalize)
+    for_models = [f"--env {name}" for name in PER_POLICY if name in chosen] + ["--vecnormalize"] * bool(
+        arguments.vecnormalize
+    )
     if for_models and not any(map(with_chosen_env, arguments.policy)):
         raise ValueError(f"{for_models[0]} is for model files and functions, got {', '.join(arguments.policy)}")
     acts = {

@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.policies.registry import POLICIES, SCRIPTED
 from agents.policies.scripted import PolicyWithEnv
-from agents.settings import EPISODE_STEPS, LENGTHS, OWN
+from agents.settings import EPISODE_STEPS, LENGTHS, PER_POLICY
 from jackbox_env import Scene
 from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.model.action import repeat_of
@@ -23,7 +23,7 @@ _ALWAYS = ("task", *KEYWORDS)  # in the line about an environment
 
 
 def facts_of(keywords: Mapping[str, Any]) -> Facts:
-    """What decides the meaning of a return: all of an environment's keywords but :data:`OWN`, in one form.
+    """What decides the meaning of a return: all of an environment's keywords but :data:`PER_POLICY`, in one form.
 
     Raises:
         TypeError, ValueError: the environment refuses a keyword, or an episode has no certain number of control steps.
@@ -55,7 +55,7 @@ def differences(facts: Facts, others: Facts, names: Mapping[str, str] = MappingP
 
 
 def shared_environment(acts: Mapping[str, PolicyWithEnv], here: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of the environment in which all these policies play; only :data:`OWN` are each policy's own.
+    """The keywords of the environment in which all these policies play; only :data:`PER_POLICY` are each policy's own.
 
     Args:
         acts: policies by name; their keywords go before ``here``.
@@ -74,7 +74,7 @@ def shared_environment(acts: Mapping[str, PolicyWithEnv], here: Mapping[str, Any
                 "as by --env task=spin or --env episode_steps=500, or evaluate one at a time"
             )
     steps = dict.fromkeys(LENGTHS, shared["episode_steps"])
-    return {name: value for name, value in {**here, **acts[first].keywords, **steps}.items() if name not in OWN}
+    return {name: value for name, value in {**here, **acts[first].keywords, **steps}.items() if name not in PER_POLICY}
 
 
 def describe_env(keywords: Mapping[str, Any], names: Mapping[str, str]) -> str:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from agents.files import as_value_error, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import LENGTHS, OWN, EnvSettings, with_objects
+from agents.settings import LENGTHS, PER_POLICY, EnvSettings, with_objects
 from agents.user_code import is_object
 from agents.user_code import load as load_code
 from jackbox_env import JackInBoxEnv
@@ -161,7 +161,7 @@ def model_in_env(
         raise ValueError(f"{file} is described by env.json beside it: leave --vecnormalize out, or move the model")
     if stored is None:
         stored = {"env": {}, "wrappers": _statistics(vecnormalize) if vecnormalize else [], "missing": []}
-        if not chosen.keys() & {*OWN}:
+        if not chosen.keys() & {*PER_POLICY}:
             note = "describes it, so it chooses a torque in every control step (--env)"
             print(f"Note: no env.json beside {file} {note}", file=sys.stderr)
         if vecnormalize is None and _is_normalized(model):

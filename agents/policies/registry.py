@@ -15,7 +15,7 @@ from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
-from agents.settings import OWN, EnvSettings, TrainSettings, with_objects
+from agents.settings import PER_POLICY, EnvSettings, TrainSettings, with_objects
 from agents.user_code import is_loaded, loaded
 from agents.user_code import load as load_code
 from jackbox_env import Scene, Task
@@ -52,7 +52,7 @@ def find_policy(
         trust: unpickle a model that has no settings.json, and run the code that its settings, its env.json or the name
             of a function name; without it they must be loaded already (:func:`agents.user_code.load`).
         chosen: keywords of the environment, over those of ``settings`` and of env.json. What a policy observes and does
-            (:data:`agents.settings.OWN`) is chosen for such models and functions alone.
+            (:data:`agents.settings.PER_POLICY`) is chosen for such models and functions alone.
         vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
     Raises:
@@ -90,7 +90,7 @@ def find_policy(
     stored = stored_beside(file)
     model = load(file, stored["algorithm"] if stored else None)
     trained_by = getattr(model, TRAINED_BY, None)
-    if trained_by is None or stored or vecnormalize or chosen.keys() & {*OWN}:
+    if trained_by is None or stored or vecnormalize or chosen.keys() & {*PER_POLICY}:
         return model_in_env(file, model, stored, settings, chosen, vecnormalize)
     load_code(TrainSettings.of(trained_by).objects.values())
     return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))

@@ -16,7 +16,7 @@ from agents.evaluation.provenance import note_other_environment
 from agents.policies.models import ENV_KEYWORDS
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
-from agents.settings import OWN, EnvSettings
+from agents.settings import PER_POLICY, EnvSettings
 from agents.training import ppo as training
 from agents.training.models import derived_seed
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
@@ -125,7 +125,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [name for name in ENV_KEYWORDS if name not in OWN])
+@pytest.mark.parametrize("name", [name for name in ENV_KEYWORDS if name not in PER_POLICY])
 def test_policies_are_compared_on_the_same_episodes(name: str, tmp_path: Path, usual: Path) -> None:
     value, fact = VALUES[name]
     env, stored = tmp_path / "env.json", json.loads((usual / "env.json").read_text())
@@ -145,7 +145,7 @@ def test_policies_are_compared_on_the_same_episodes(name: str, tmp_path: Path, u
     assert still == zero
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", PER_POLICY)
 def test_what_policies_observe_and_do_may_differ(name: str, tmp_path: Path, usual: Path) -> None:
     chosen = ["--policy", "zero", f"{usual}/still.py:act", "--env", f"{name}={VALUES[name][0]}"]
     done = script("evaluate", *chosen, *TWO, cwd=tmp_path)
