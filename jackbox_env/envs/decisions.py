@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
-from itertools import accumulate
+from operator import add
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -34,11 +35,11 @@ class ControlStep(NamedTuple):
 
 def decide(
     simulator: Simulator, functions: Functions, dt: float, torque: float | None, controls: Array | None, most: float,
-    max_contact_steps: int,
-) -> list[ControlStep]:  # fmt: skip
+    max_contact_steps: int, kept: int | None,
+) -> tuple[ControlStep, int, Sequence[ControlStep]]:  # fmt: skip
     """Step a simulator until ``most`` control steps, an impact or the task's end ends a decision.
 
-    Only the last control step is observed.
+    Only the last control step is observed. Sums are from the first value on, as those of the exact model's loop.
 
     Args:
         simulator: which moves, also if an error is raised.
@@ -48,23 +49,36 @@ def decide(
         controls: the numbers of an action, shape (n,), whose torque is computed in each control step; None: none.
         most: control steps, at least 1.
         max_contact_steps: see :func:`jackbox_env.model.landing.is_over`.
+        kept: control steps that are returned, the last ones; None: all.
+
+    Returns:
+        The whole decision: sums over its control steps, the mean torque, and the state at the end. The number of its
+        control steps. The kept ones.
 
     Raises:
         TaskError: a reward, a torque or an observation is NaN, or a reward infinite.
         JackLostError: the jack cannot be followed.
     """
     if most == 1:
-        return [_control_step(simulator, functions, dt, torque, controls, True)]
-    parts, separated = list[ControlStep](), False
-    while len(parts) < most:
-        parts.append(_control_step(simulator, functions, dt, torque, controls, False))
-        struck = bool(parts[-1].impacts)
-        if parts[-1].over or is_over(len(parts), separated, struck, max_contact_steps):
-            break
+        part = _control_step(simulator, functions, dt, torque, controls, True)
+        return part, 1, [part]
+    parts, impacts, sums = deque[ControlStep](maxlen=kept), list[Impact](), list[float]()
+    made, ended, separated = 0, False, False
+    while made < most and not ended:
+        part = _control_step(simulator, functions, dt, torque, controls, False)
+        parts.append(part)
+        impacts += part.impacts
+        values = [part.torque, part.impulse, part.reward, *part.terms]
+        sums = list(map(add, sums, values)) if made else values
+        made, struck = made + 1, bool(part.impacts)
+        ended = part.over or is_over(made, separated, struck, max_contact_steps)
         separated = separated or not struck
-    last = parts[-1]
-    parts[-1] = last._replace(seen=functions.observe(last.state, last.time))
-    return parts
+    mean, impulse, reward, *terms = sums
+    whole = part._replace(
+        torque=mean / made, impacts=impacts, impulse=impulse, terms=terms, reward=reward,
+        seen=functions.observe(part.state, part.time),
+    )  # fmt: skip
+    return whole, made, parts
 
 
 def _control_step(
@@ -78,14 +92,3 @@ def _control_step(
     reward = checked_reward(functions.nouns.task, terms)
     # Twice as fast as ControlStep(...).
     return _new(ControlStep, (state, time, mean, impacts, impulse, terms, reward, over, observation))
-
-
-def added(parts: list[ControlStep]) -> ControlStep:
-    """The results of a decision: sums over its control steps, the mean torque, and the state at the end.
-
-    Sums are from the first value on, in the order given, as those of the exact model's loop.
-    """
-    columns = zip(*((part.torque, part.impulse, part.reward, *part.terms) for part in parts), strict=True)
-    torque, impulse, reward, *terms = (list(accumulate(values))[-1] for values in columns)
-    impacts = [impact for part in parts for impact in part.impacts]
-    return parts[-1]._replace(torque=torque / len(parts), impulse=impulse, reward=reward, terms=terms, impacts=impacts)

@@ -35,10 +35,16 @@ class Past(NamedTuple):
         return self._replace(poses=poses)
 
     def after(self, states: Array, made: Array) -> Past:
-        """That after control steps to ``states``, shape (N, steps, 12), of which each environment has made so many."""
-        poses = np.concatenate([self.poses, states[..., :RATES]], axis=1)
-        last = made.astype(np.int64)[:, None] + np.arange(self.pixels.stack)
-        return self._replace(poses=np.take_along_axis(poses, last[..., None], axis=1))
+        """That after a decision, of which each environment has made so many control steps, shape (N,).
+
+        ``states``, shape (N, places, 12), has the state after step k, counted from 1, in place k modulo ``places``. So
+        it has the last ones; there are as many places as steps, or as pictures.
+        """
+        stack = self.pixels.stack
+        steps = made.astype(np.int64)[:, None] + np.arange(1 - stack, 1)  # whose ends are shown; before the first: < 1
+        places = np.where(steps < 1, steps - 1, steps % states.shape[1])
+        poses = np.concatenate([states[..., :RATES], self.poses], axis=1)
+        return self._replace(poses=np.take_along_axis(poses, places[..., None], axis=1))
 
     def draw(self, rows: Array, numbers: Indices, frames: Any, threads: Threads) -> Any:
         """Draw the pictures of some environments, whose scenes have these ``rows`` of numbers, into their frames.

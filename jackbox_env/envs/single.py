@@ -18,7 +18,7 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.envs.batches.threads import Threads
-from jackbox_env.envs.decisions import ControlStep, added, decide
+from jackbox_env.envs.decisions import ControlStep, decide
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
 from jackbox_env.envs.settings import Settings
@@ -260,7 +260,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._past: Past | None = None  # of the pictures that are observed
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
-        self.control_steps = list[ControlStep]()  # of the last decision, for recordings
+        self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``kept_steps``; None: all
+        self.kept_steps = None if render_mode else (pixels or Pixels()).stack
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer
 
@@ -401,25 +402,25 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         simulator, functions = self._parts
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            parts = decide(simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps)
+            whole, made, parts = decide(
+                simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps, self.kept_steps
+            )
         except BaseException:
             if before is not None:
                 simulator.restore(before)
             raise
         self.control_steps = parts
-        self.elapsed_steps += len(parts)
+        self.elapsed_steps += made
         if self._renderer is not None:
             self._show(parts)
-        whole, self._impacts = parts[0], None
-        if len(parts) > 1:
-            whole = added(parts)
-            self._impacts = whole.impacts
+        self._impacts = None if made == 1 else whole.impacts
         if self._past is not None:
-            self._past = self._past.after(np.array([[part.state for part in parts]]), np.array([len(parts)]))
+            states = [part.state for part in parts][-self._past.pixels.stack :]
+            self._past = self._past.after(np.roll([states], 1, axis=1), np.array([len(states)]))
             whole = whole._replace(seen=self._pictures(self._past))
-        return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, len(parts))
+        return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, made)
 
-    def _show(self, parts: list[ControlStep]) -> None:
+    def _show(self, parts: Sequence[ControlStep]) -> None:
         """Draw control steps, as far as the render mode shows them."""
         assert self._renderer is not None
         for part in parts:

@@ -208,7 +208,7 @@ def step_lanes(
             row_scene = make_numbers(scenes.values[row])
             row_params = make_parameters(row_scene, params.dt, kind)
         pieces = Pieces(scenes.table, 0, 0)
-        if scenes.begins.shape[0]:
+        if scenes.begins.shape[0] and kind != CONSTANT and kind != CHIRP:
             begin = scenes.begins[row if scenes.begins.shape[0] > 1 else 0] + k
             pieces = Pieces(scenes.table, scenes.ends[begin], scenes.ends[begin + 1])
         room = log[recorded:]
@@ -242,7 +242,7 @@ def mark_left(params: StepParameters, scenes: Scenes, block: Block, glided: bool
 
 def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
     """Whether all rows of a block have stopped before step ``k``; then copies them to where the last step would."""
-    if call.rules.continue_after_done or call.results.trajectories.shape[0]:
+    if call.rules.continue_after_done:
         return False
     for lane in range(block.size):
         if block.before[OVER, lane] == 0.0:
@@ -357,12 +357,12 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
     trajectories, energies, hits, lengths = results.trajectories, results.energies, results.hits, results.lengths
     if not trajectories.shape[0] + energies.shape[0] + hits.shape[0] + lengths.shape[0]:
         return
-    values = call.scenes.values
+    values, place = call.scenes.values, (k + 1) % max(1, trajectories.shape[1])
     for lane in range(block.size):
         row = block.first + lane
-        if trajectories.shape[0]:
+        if trajectories.shape[0] and block.before[OVER, lane] == 0.0:
             for column in range(12):
-                trajectories[row, k + 1, column] = block.after[column, lane]
+                trajectories[row, place, column] = block.after[column, lane]
         if energies.shape[0]:
             row_scene = make_numbers(values[row]) if values.shape[0] > 1 else scene
             if k == 0:

@@ -209,7 +209,7 @@ class Results(NamedTuple):
     truncations: Flags  # (N,), False before
     reports: Array  # sums over the steps, (N, TERMS + number of terms), zeros before
     lengths: Counts  # steps until the task ends the episode, (N,), all steps before
-    trajectories: Array  # (N, steps + 1, 12), without the first states
+    trajectories: Array  # states after step k in place k, (N, steps + 1, 12); with fewer places, k modulo their number
     energies: Array  # of the states [J], (N, steps + 1)
     hits: Counts  # impacts in each step, (steps, N), zeros before
     impulses: Array  # their sum [N s], (steps, N), zeros before

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from typing import Any
 
 import gymnasium as gym
@@ -19,7 +20,7 @@ from jackbox_env.model.landing import aim
 from jackbox_env.model.observation import observation_of, observe
 from jackbox_env.model.states import State
 from jackbox_env.sb3 import make_sb3_vec_env
-from tests.batches.several import EVERY_MODEL, assert_alike, assert_same
+from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_alike, assert_same
 from tests.batches.test_ends import FALL
 from tests.states import inside
 
@@ -74,7 +75,7 @@ def drawn(space: gym.Space[Any], steps: int, count: int) -> list[Any]:
         ("state", "torque", 4, FALL),
         (SEEN, SERVO, 1, "juggle"),
         (SEEN, BEAT, 7, FALL),
-        (Pixels((20, 24), 3), "torque", 1, FALL),
+        (Pixels((20, 24), 3), "torque", 2, FALL),
         (Pixels((24, 20), 3), "landing", "bounce", FALL),
         ("pixels-16x16x1", "torque", 2, "juggle"),
     ],
@@ -404,12 +405,45 @@ def test_bools_count_as_numbers_and_the_drive_ignores_any_action(contact: str) -
     envs.step(np.full((2, 2), math.nan))
 
 
-def test_a_batch_whose_episodes_are_over_makes_no_more_steps() -> None:
-    envs = JackInBoxVectorEnv(3, contact="exact", action_repeat=1_000_000, episode_steps=10)
+@pytest.mark.parametrize("observation", ["state", Pixels((16, 16), 3)])
+def test_a_batch_whose_episodes_are_over_makes_no_more_steps(observation: Any) -> None:
+    times = list[float]()
+    drive = Drive(torque=lambda time: times.append(time) or 1e4)  # type: ignore[func-returns-value]
+    envs: Any = JackInBoxVectorEnv(
+        3, contact="exact", task=FALL, observation=observation, scene={"drive": drive}, action_repeat=10_000,
+        episode_steps=10_000,
+    )  # fmt: skip
     envs.reset(seed=0)
-    *_, truncated, infos = envs.step(np.zeros(3))
-    assert truncated.all()
-    assert infos["duration"].tolist() == [0.2] * 3
+    for action in (np.zeros(3), None):
+        _, _, over, _, infos = envs.step(action)
+        assert over.all()
+        assert infos["duration"].max() < 60 * 0.02
+        assert 0 < envs._batch._calls[0].memory.workspaces[0].work < 2000  # in steps and gap evaluations
+        envs.reset(seed=0)
+    assert len(times) < 3000
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("observation", ["state", Pixels((16, 16), 3)])
+def test_a_decision_of_many_steps_needs_no_more_memory(contact: str, observation: Any) -> None:
+    settings = {"contact": contact, "observation": observation, "scene": {"gravity": 0.0}, "action_repeat": 500}
+    single, batch = JackInBoxEnv(**settings), JackInBoxVectorEnv(2, **settings)
+    for env, action in ((single, 0.0), (batch, np.zeros(2))):
+        for _ in range(3):  # the first ones compile
+            env.reset(seed=0)
+            tracemalloc.start()
+            env.step(action)
+            _, most = tracemalloc.get_traced_memory()
+            tracemalloc.stop()
+        assert most < 500 * 60  # bytes
+
+
+def test_decisions_that_last_longer_than_drives_are_read_ahead_are_those_of_single_environments() -> None:
+    drives = SHAKEN, Drive(force_y=lambda time: 3e4 * math.sin(4.0 * time)), TURNED
+    settings: dict[str, Any] = {"contact": "exact", "action_repeat": 220}
+    batch = JackInBoxVectorEnv(3, scene=[Scene(drive=drive) for drive in drives], with_infos=True, **settings)
+    alone = [made(scene={"drive": drive}, **settings) for drive in drives]
+    assert_alike(batch, alone, drawn(batch.single_action_space, 5, 3))
 
 
 # -- films ------------------------------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failur
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
+_AHEAD = 100  # control steps for which drives are read at first: those of the longest bounce by default
 _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
@@ -319,8 +320,11 @@ class ExactBatch:
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | None) -> Outcome:
-        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`."""
+    def step(self, actions: Array | None, ahead: int = _AHEAD) -> Outcome:
+        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`.
+
+        Functions of drives are read ``ahead``, for so many control steps. If a decision lasts longer, it begins anew.
+        """
         self._settle()
         count, halt, steps, present = self._count, Halt(), self._repeat.steps, self._present
         terms, past = len(self._nouns.task.terms), present.past
@@ -330,8 +334,8 @@ class ExactBatch:
             np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
         )  # fmt: skip
         if past and steps > 1:
-            filled = filled._replace(trajectories=np.empty((count, steps + 1, 12)))
-        scenes = self._scenes_of_steps(int(actions is not None), steps)
+            filled = filled._replace(trajectories=np.empty((count, min(steps, past.pixels.stack), 12)))
+        scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
         controls = _NO_ACTIONS if actions is None else actions
         before = present.blocks.copy() if steps > 1 else present.blocks  # several steps overwrite it
         spare, calls, packed = self._spare, self._calls, self._packed
@@ -363,6 +367,8 @@ class ExactBatch:
         if failures:
             self._spare = spare
             made, number, ended = min(failures)
+            if ended == Status.NO_DRIVE and made >= ahead:
+                return self.step(actions, 10 * ahead)
             raise self._failure(ended, number, actions, made, filled.observations)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         return self._outcome(filled, finished, after, actions)
@@ -379,21 +385,21 @@ class ExactBatch:
         observations, scenes, past = filled.observations, self._present.scenes, self._present.past
         if past is not None:
             observations, everyone = self._nouns.unfilled(self._count), np.arange(self._count)
-            moved = filled.trajectories[:, 1:] if filled.trajectories.size else _states(after, self._count)[:, None]
-            past = past.after(moved, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
+            last = filled.trajectories if self._repeat.steps > 1 else _states(after, self._count)[:, None]
+            past = past.after(last, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
             past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
             observations, rewards, filled.terminations, filled.truncations, infos, finished,
             Present(after, scenes, (self._present.blocks, actions), None, past),
         )  # fmt: skip
 
-    def _scenes_of_steps(self, torque: int, steps: int) -> Scenes:
+    def _scenes_of_steps(self, torque: int, steps: int, ahead: int) -> Scenes:
         """The scenes for these numbers of steps: ``SceneTable.of_steps``."""
         scenes = self._present.scenes
         if not scenes.cutting[torque]:
             return scenes.plain[torque]
         remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
-        return scenes.of_steps(torque, self.times, remaining.astype(np.int64))
+        return scenes.of_steps(torque, self.times, remaining.astype(np.int64), ahead)
 
     def _infos(self, after: Array, reports: Array, made: Array | float, durations: Array) -> dict[str, NDArray[Any]]:
         return {

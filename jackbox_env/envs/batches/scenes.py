@@ -101,15 +101,17 @@ class SceneTable:
         """A copy of the rows of some environments; of the only row if they share a scene."""
         return self.values[numbers] if self.several else self.values.copy()
 
-    def of_steps(self, torque: int, times: Array, steps: Counts) -> Scenes:
+    def of_steps(self, torque: int, times: Array, steps: Counts, ahead: int) -> Scenes:
         """The scenes with the pieces of drives of functions, cut once for each drive, time and number of steps.
 
-        A drive that fails over a later step has no pieces there: the environment may not reach it.
+        A drive has no pieces from ``ahead`` steps on, nor over a later step that it fails over: the environment may not
+        reach it.
 
         Args:
             torque: 1 if torques are held, 0 if the drives act.
             times: at which the environments are [s], (N,).
             steps: that each of them makes at most, (N,).
+            ahead: steps for which pieces are cut, at most.
 
         Raises:
             Exception: a drive fails over a first step.
@@ -120,10 +122,9 @@ class SceneTable:
             begin = cut.setdefault((id(drive), time, most), len(tables))
             if begin == len(tables):
                 end_of_step(time, self.dt)
-                tables += _pieces_ahead(drive, time, self.dt, most, 0.0 if torque else None)  # whatever is held
+                # A torque of 0.0 stands for any that is held.
+                tables += [*_pieces_ahead(drive, time, self.dt, min(most, ahead), 0.0 if torque else None), NO_TABLE]
             begins[number] = begin
-        # Environments without functions count their steps from the first table.
-        tables += [NO_TABLE] * (int(steps.max()) - len(tables))
         return Scenes(self.values, self.scene_params, self.kinds[torque], *joined(tables, begins))
 
     def put(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
