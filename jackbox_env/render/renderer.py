@@ -14,6 +14,7 @@ from __future__ import annotations
 import cmath
 import copy
 import math
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -279,6 +280,8 @@ class Renderer:
             # Released before the next one is made: that may get its address, and would be destroyed with it.
             self._window = shown = None
         if shown is None:
+            # Or SDL handles SIGTERM, also once the window is closed, and the process goes on. A user may set it to 0.
+            os.environ.setdefault("SDL_NO_SIGNAL_HANDLERS", "1")
             self._window, self._clock = pygame.Window("Jack in a box", self._size), pygame.time.Clock()
             shown = self._window.get_surface()
         shown.blit(canvas.surface, (0, 0))

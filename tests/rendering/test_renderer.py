@@ -6,6 +6,7 @@ import copy
 import math
 import os
 import pickle
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -154,6 +155,27 @@ def test_window_survives_others_and_leaves_theirs(
     theirs = pygame.display.set_mode((600, 400))
     windows[0].close()
     assert pygame.display.get_surface() is theirs
+
+
+@pytest.mark.parametrize(
+    ("number", "close", "setting"),
+    [
+        (signal.SIGTERM, True, {}),
+        (signal.SIGINT, False, {}),
+        (signal.SIGTERM, True, {"SDL_NO_SIGNAL_HANDLERS": "0"}),  # the user wants SDL's own
+    ],
+)
+def test_signals_end_a_process_with_a_window_unless_the_user_leaves_them_to_sdl(
+    number: int, close: bool, setting: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = (
+        "import os, signal; from jackbox_env import Scene; from jackbox_env.render.renderer import Renderer\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL); renderer = Renderer(Scene(), 'human', 50); renderer.render()\n"
+        f"renderer.close() if {close} else None; os.kill(os.getpid(), {int(number)})"
+    )
+    monkeypatch.delenv("SDL_NO_SIGNAL_HANDLERS", raising=False)  # of other windows
+    child = subprocess.run([sys.executable, "-c", code], env={**os.environ, "SDL_VIDEODRIVER": "dummy", **setting})
+    assert child.returncode == (0 if setting else -number)
 
 
 @pytest.mark.usefixtures("windows")
