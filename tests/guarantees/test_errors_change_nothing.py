@@ -43,7 +43,9 @@ def made(kind: str, steps: int = 10) -> Any:
     """One or two environments whose last step had an impact each."""
     contact = "exact" if "exact" in kind else "pymunk"
     shown = None if kind == "exact batch" else "rgb_array"
-    settings: dict[str, Any] = {"contact": contact, "scene": SCENE, "task": TASK, "render_mode": shown}
+    settings: dict[str, Any] = {
+        "contact": contact, "scene": SCENE, "task": TASK, "observation": "pixels-16x16x2", "render_mode": shown,
+    }  # fmt: skip
     if "batch" not in kind:
         env = JackInBoxEnv(**settings, render_size=(64, 64))
         env.reset(seed=0, options={"state": FALLING})

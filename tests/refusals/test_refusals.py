@@ -164,6 +164,7 @@ SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
         r'write Task\(\("reward",\), juggle\) for juggle\(scene, state, torque, impulse\)$',
     ),
     (lambda: JackInBoxEnv().step(with_gradients()), TypeError, r"action must .*requires grad: pass its detach\(\)"),
+    (lambda: JackInBoxEnv().step(None), gym.error.ResetNeeded, "step must come after a reset, got none yet"),
     (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
     (lambda: JackInBoxEnv(randomize={"jack_inertia": (1e-6, 4.0)}), ValueError, "jack_inertia=1e-06"),
     (lambda: rollout(None, START, np.zeros(5), 0.02, time=1e9), ValueError, "dt .* end by 1e[+]09 s"),

@@ -20,8 +20,8 @@ def state(box: tuple[float, ...] = (0.0, 0.0, 0.0), jack: tuple[float, ...] = (0
     return [*box, *jack, *AT_REST]
 
 
-def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.0, mode: str = "rgb_array") -> Renderer:
-    renderer = Renderer(scene or Scene(), mode, 1000)
+def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.0) -> Renderer:
+    renderer = Renderer(scene or Scene(), "rgb_array", 1000)
     renderer.reset(start, time)
     return renderer
 
