@@ -65,7 +65,8 @@ def compiled_with(function: F, **substitutes: Any) -> F:
 def compiled_for_users(function: F, **substitutes: Callable[..., Any]) -> F:
     """Return ``function`` compiled with a user's functions, as they are now, as substitutes for those of these names.
 
-    A division by zero raises ZeroDivisionError in them, as in Python. Not stored on disk.
+    In them a division by zero raises ZeroDivisionError, and an index past the end IndexError, as in Python. Not stored
+    on disk.
     """
     with _LOCK:
         return cast(F, _Compilation(tuple(substitutes.items()), users=True).compiled(function))
@@ -161,6 +162,7 @@ class _Compilation:
 
     def _counterpart(self, value: Any, names: set[str]) -> Any:
         """The counterpart in compiled code of a global or cell; ``names`` are the attributes that the function uses."""
+        value = getattr(value, "py_func", value)  # a user's function of numba's is compiled with checks like the others
         if isinstance(value, FunctionType) and (native := _intrinsic(value)) is not None:
             return native
         if isinstance(value, FunctionType) and _top_level(value.__globals__) not in _KNOWN_TO_NUMBA:
@@ -206,7 +208,7 @@ def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_dis
     # a third of the time to compile.
     pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
     dispatcher = cast(Any, njit)(
-        nogil=True, error_model="python" if checked else "numpy", _nrt=False,
+        nogil=True, error_model="python" if checked else "numpy", boundscheck=checked, _nrt=False,
         no_cpython_wrapper=inner, no_cfunc_wrapper=inner, forceinline=inline, pipeline_class=pipeline,
     )(twin)  # fmt: skip
     if on_disk:  # njit(cache=True) would set numba's own cache here

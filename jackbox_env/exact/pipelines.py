@@ -19,6 +19,7 @@ from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
+from numba.core.errors import TypingError
 from numba.core.typing.context import Context
 
 _numbers = itertools.count()
@@ -93,7 +94,11 @@ class PackageCompiler(Compiler):
         if self._plain:
             self.state.typingctx = _Typing(self.state.typingctx)
         with _uncollected():
-            return super().compile_extra(function)  # type: ignore[no-untyped-call]
+            compiled = super().compile_extra(function)  # type: ignore[no-untyped-call]
+        for signature in () if self._plain else self.state.calltypes.values():
+            if signature and len(signature.args) > 1 and isinstance(signature.args[0], types.NumpyFlatType):
+                raise TypingError("an index of .flat is not checked; use the array's own indices")
+        return compiled
 
     def define_pipelines(self) -> list[PassManager]:
         """Numba's passes, of which functions of this package need only some."""

@@ -51,11 +51,12 @@ class Task:
     >>> lift = Task(("lift",), height)
 
     Under ``contact="exact"`` ``values`` and ``over`` are compiled, together with the plain functions that they call. So
-    they must be plain arithmetic on numbers, with ``math`` and without numpy. That happens once for each Task, when it
-    is first used. If a function's globals change later, it needs a new Task. What is compiled is freed with the Task,
-    but for about 0.2 MB that LLVM keeps. ``/``, ``//`` and ``%`` by zero raise ZeroDivisionError with every contact
-    model. Powers and ``math`` out of their range return NaN or an infinity under ``"exact"``, and raise otherwise. A
-    reward that is NaN or infinite raises :class:`TaskError`, and the environment is unchanged.
+    they must be plain arithmetic on numbers, with ``math``; they may read numpy arrays by index, and make none. That
+    happens once for each Task, when it is first used. If a function's globals change later, it needs a new Task. What
+    is compiled is freed with the Task, but for about 0.2 MB that LLVM keeps. ``/``, ``//`` and ``%`` by zero raise
+    ZeroDivisionError with every contact model, an index past the end IndexError. Powers and ``math`` out of their range
+    return NaN or an infinity under ``"exact"``, and raise otherwise. A reward that is NaN or infinite raises
+    :class:`TaskError`. After an error the environment is unchanged.
 
     An environment evaluates the task at its construction, in a start of :func:`sample_start`, and at each start of an
     episode, without torque and impulse. A wrong type raises TypeError there. Arithmetic errors are ignored.

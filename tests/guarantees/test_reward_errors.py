@@ -6,12 +6,27 @@ import functools
 import math
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 
-from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, TaskError
-from jackbox_env.model.states import OMEGA_JACK
+from jackbox_env import (
+    Action,
+    Drive,
+    JackInBoxEnv,
+    JackInBoxVectorEnv,
+    Observation,
+    Scene,
+    Task,
+    TaskError,
+    rollout,
+)
+from jackbox_env.model.states import OMEGA_BOX, OMEGA_JACK
+from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
+from tests.batches.several import assert_same
+from tests.environment.test_nouns import present
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
@@ -47,6 +62,80 @@ def test_a_division_by_zero_is_an_error_in_every_model(contact: str, divided: An
             env.step(np.full(env.action_space.shape, -1.0 / Scene().torque_limit))
 
 
+TABLE, GRID, PAIR = np.array([1.0, 2.0, 4.0]), np.arange(6.0).reshape(2, 3), (8.0, 9.0)
+BOTH, EVERY_SECOND, LONG = (TABLE, TABLE[:2]), np.arange(8.0)[::2], np.arange(200_000.0)
+READS: dict[str, Any] = {
+    "an array": lambda k: TABLE[k],
+    "rows": lambda k: GRID[k, 1],
+    "columns": lambda k: GRID[1, k],
+    "a row of them": lambda k: GRID[k][2],
+    "a column of them": lambda k: GRID.T[k, 0],
+    "a part": lambda k: TABLE[1:][k],
+    "every second": lambda k: EVERY_SECOND[k],
+    "1.6 MB": lambda k: LONG[99_999 * k],
+    "a default": lambda k, table=TABLE: table[k],
+    "a tuple": lambda k: PAIR[k],
+    "arrays in a tuple": lambda k: BOTH[1][k],
+    "bytes": lambda k: b"abc"[k],
+    "numba's": numba.njit(lambda k: TABLE[k]),
+}
+
+
+@pytest.mark.parametrize("read", READS)
+def test_an_index_counts_from_either_end_and_past_it_is_an_error(read: str) -> None:
+    look = READS[read]
+    plain = getattr(look, "py_func", look)
+    env = JackInBoxEnv(
+        contact="exact", task=Task(("read",), lambda scene, state, torque, impulse: 1.0 * look(round(torque)))
+    )
+    env.reset(seed=0)
+    wrong = 0
+    for k in range(-5, 6):
+        try:
+            expected = plain(k)
+        except IndexError:
+            wrong += 1
+            with pytest.raises(IndexError, match="out of"):
+                env.step(k / Scene().torque_limit)
+        else:
+            assert env.step(k / Scene().torque_limit)[1] == expected
+    assert 3 <= wrong <= 7
+
+
+def past(rate: float) -> Any:
+    return TABLE[0 if rate <= 0.0 else 3]
+
+
+FAILING: dict[str, dict[str, Any]] = {
+    "reward": {"task": Task(("r",), lambda scene, state, torque, impulse: past(torque))},
+    "end": {"task": Task(("r",), lambda scene, state, torque, impulse: 1.0, over=lambda *_: past(_[2]) < 0.0)},
+    "observation": {"observation": Observation(("o",), 0, 9, lambda scene, state, time: (past(state.omega_box),))},
+    "action": {"action": Action(Box(-1, 1, (1,)), lambda scene, state, action, time, dt: past(action[0]) * action[0])},
+}
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("kind", FAILING)
+def test_an_index_past_the_end_is_an_error_on_every_path_and_changes_nothing(contact: str, kind: str) -> None:
+    settings: dict[str, Any] = {**FAILING[kind], "contact": contact, "action_repeat": 2}
+    threaded, stable = JackInBoxVectorEnv(300, num_threads=2, **settings), make_sb3_vec_env(2, **settings)
+    for env in (*(make(**settings) for make in MAKERS), threaded, stable):
+        inner: Any = getattr(env, "vector_env", env)
+        env.reset()
+        last = np.zeros(inner.action_space.shape)
+        last[-1] = 1.0
+        resets = [lambda inner=inner: inner.reset(options={"state": 0.1 * np.eye(12)[OMEGA_BOX]})]
+        for call in (functools.partial(env.step, last), *(resets if kind == "observation" else ())):
+            before = present(inner)
+            with pytest.raises(IndexError, match="out of"):
+                call()
+            assert_same(present(inner), before)
+        env.step(-last)
+    if contact == "exact" and "task" in settings:
+        with pytest.raises(IndexError, match="out of"):
+            rollout(None, np.zeros(12), [0.0, 1.0], 0.02, rewards=settings["task"])
+
+
 FLOATS, NUMBERS = "a tuple of 2 floats, one for each term, got", "a tuple of 2 numbers, one for each term, got"
 
 
@@ -61,6 +150,7 @@ FLOATS, NUMBERS = "a tuple of 2 floats, one for each term, got", "a tuple of 2 n
         ("exact", lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
         ("exact", lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), r"cannot be compiled.*mul\(State"),
         ("exact", lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
+        ("exact", lambda scene, state, torque, impulse: (GRID.flat[1], 1.0), "cannot be compiled.*flat is not checked"),
         ("exact", lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*too many positional arguments"),
         ("pymunk", lambda scene, state, torque, impulse: 1.0, NUMBERS),
         ("pymunk", lambda scene, state, torque, impulse: (1.0,), NUMBERS),
