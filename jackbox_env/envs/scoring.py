@@ -10,8 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from types import FunctionType
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from weakref import WeakKeyDictionary
 
 import gymnasium as gym
@@ -35,12 +34,15 @@ from jackbox_env.simulators import Impact, Simulator, StepResult, contact_model
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
+if TYPE_CHECKING:
+    from jackbox_env.exact.compiler import UsersFunctions
+
 Seen = NDArray[Any]  # float32, or uint8 pictures
 Judged = tuple[Seen, Sequence[float], bool]
 # State, time [s], mean torque [N m], impacts, their impulse [N s], and what is judged.
 Stepped = tuple[Array, float, float, Sequence[Impact], float, Seen, Sequence[float], bool]
-# Compiled functions of each user's task, observation or action, as long as that lives.
-_compiled: WeakKeyDictionary[Any, dict[Callable[..., Any], Callable[..., Any]]] = WeakKeyDictionary()
+# What was read and compiled of each user's task, observation or action, as long as that lives.
+_compiled: WeakKeyDictionary[Any, UsersFunctions] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 _NOTHING: Seen = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
 
@@ -220,7 +222,7 @@ def bad_reward(task: Task, scene: Scene, step: StepResult, where: str) -> TaskEr
         checked_reward(task, terms.tolist())
     except TaskError as error:
         return TaskError(f"{error}, in {where}")
-    # A value that the task reads has changed since.
+    # A function of the drive has returned something else since.
     return TaskError(f"the reward must be finite, got one that is not, in {where}")
 
 
@@ -262,25 +264,25 @@ def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
 
 
 def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``exact.score``, compiled once for each task, observation or
-    action, with its functions as they are then.
+    """A function of ``exact.score`` for a task, observation or action, whose functions are read at its first use.
 
     Raises:
         TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
-    from jackbox_env.exact.compiler import compiled, compiled_for_users
+    from jackbox_env.exact.compiler import UsersFunctions, compiled
 
     substitutes = _SUBSTITUTES[type(owner)]
     if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
-        return compiled(function, **substitutes(owner, True))
-    variants = _compiled.setdefault(owner, {})
-    if function not in variants:
-        variants[function] = compiled_for_users(function, **substitutes(owner, False))
-    return variants[function]
+        return compiled(function, **substitutes(owner, None))
+    if owner not in _compiled:
+        _compiled.setdefault(owner, UsersFunctions(partial(substitutes, owner)))
+    return _compiled[owner].entry(function)
 
 
-def _of_task(task: Task, builtin: bool) -> dict[str, Any]:
+def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
     """Substitutes for the placeholders of ``exact.score``, whose functions return the right types.
+
+    ``users`` reads and compiles them; None if they are of this package.
 
     Raises:
         TypeError: they do not, or cannot be compiled.
@@ -289,16 +291,16 @@ def _of_task(task: Task, builtin: bool) -> dict[str, Any]:
 
     from jackbox_env.exact.score import one_term
 
-    if builtin:
+    if users is None:
         return {"task_terms": task.values}
     ends = {} if task.over is None else {"task_over": task.over}
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return {"task_terms": partial(_plain_terms, task.values), **ends}
-    single = _is_number(task.values, "task", (0.0, 0.0), len(task.terms), "term")
+        return {"task_terms": partial(_plain_terms, users.compiled(task.values, inner=True)), **ends}
+    single = _is_number(users, task.values, "task", (0.0, 0.0), len(task.terms), "term")
     if task.over is not None:
         from numba.core import types
 
-        if not isinstance(returned := _returned_by(task.over, "task", (0.0, 0.0)), types.Boolean):
+        if not isinstance(returned := _returned_by(users, task.over, "task", (0.0, 0.0)), types.Boolean):
             raise TypeError(
                 f"the task's function {task.over.__qualname__} must return True or False, got what numba calls "
                 f"{returned}"
@@ -306,23 +308,23 @@ def _of_task(task: Task, builtin: bool) -> dict[str, Any]:
     return ({"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}) | ends
 
 
-def _of_observation(observation: Observation, builtin: bool) -> dict[str, Any]:
+def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an observation."""
     from numba import config
 
     from jackbox_env.exact.score import observe_landing, observe_values
 
-    if builtin:
+    if users is None:
         return {} if observation is STATE else {"observe": observe_landing}
     if not config.DISABLE_JIT and _is_number(  # type: ignore[attr-defined]
-        observation.values, "observation", (0.0,), len(observation.names), "name"
+        users, observation.values, "observation", (0.0,), len(observation.names), "name"
     ):
         raise TypeError(f"an observation's values must return a tuple, got a number from {observation.values}")
     low, high = (bound.astype(np.float64) for bound in observation.bounds)
     return {"observe": observe_values, "observation_values": observation.values, "LOW": low, "HIGH": high}
 
 
-def _of_action(action: Action, builtin: bool) -> dict[str, Any]:
+def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an action."""
     from numba import config
     from numba.core import types
@@ -330,9 +332,9 @@ def _of_action(action: Action, builtin: bool) -> dict[str, Any]:
     from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
     example: Any = (0.0,) * action.size or 0
-    read = choice_in if not action.size else pair_in if builtin else tuple_in(action.size)
-    if not (builtin or config.DISABLE_JIT):  # type: ignore[attr-defined]
-        returned = _returned_by(action.torque, "action", (example, 0.0, 0.0))
+    read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)
+    if users and not config.DISABLE_JIT:  # type: ignore[attr-defined]
+        returned = _returned_by(users, action.torque, "action", (example, 0.0, 0.0))
         if not isinstance(returned, types.Number | types.Boolean) or returned in types.complex_domain:
             raise TypeError(
                 f"the action's function {action.torque.__qualname__} must return a number, got what numba calls "
@@ -341,12 +343,14 @@ def _of_action(action: Action, builtin: bool) -> dict[str, Any]:
     return {"action_torque": action.torque, "action_in": read}
 
 
-_SUBSTITUTES: dict[type, Callable[[Any, bool], dict[str, Any]]] = {
+_SUBSTITUTES: dict[type, Callable[[Any, UsersFunctions | None], dict[str, Any]]] = {
     Task: _of_task, Observation: _of_observation, Action: _of_action,
 }  # fmt: skip
 
 
-def _is_number(function: Any, owner: str, further: tuple[Any, ...], count: int, each: str) -> bool:
+def _is_number(
+    users: UsersFunctions, function: Any, owner: str, further: tuple[Any, ...], count: int, each: str
+) -> bool:
     """Whether a user's function returns a number, if ``count`` is 1, and not a tuple of ``count`` numbers.
 
     Raises:
@@ -354,7 +358,7 @@ def _is_number(function: Any, owner: str, further: tuple[Any, ...], count: int, 
     """
     from numba.core import types
 
-    returned: Any = _returned_by(function, owner, further)
+    returned: Any = _returned_by(users, function, owner, further)
     single = isinstance(returned, types.Number | types.Boolean)
     many: Any = types.UniTuple(returned, 1) if single else returned  # type: ignore[no-untyped-call]
     fits = isinstance(many, types.UniTuple) and isinstance(many.dtype, types.Number | types.Boolean)
@@ -372,12 +376,10 @@ def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ..
     return returned if isinstance(returned, tuple) else (returned,)
 
 
-def _returned_by(function: Callable[..., Any], owner: str, further: tuple[Any, ...]) -> Any:
+def _returned_by(users: UsersFunctions, function: Callable[..., Any], owner: str, further: tuple[Any, ...]) -> Any:
     """Numba's type of what a user's function returns, of scene, state and ``further`` arguments like these."""
-    from jackbox_env.exact.compiler import returned_by
-
     try:
-        return returned_by(cast(FunctionType, function), further)
+        return users.returned_by(function, further)
     except Exception as error:
         raise TypeError(
             f"the {owner}'s function {function.__qualname__} cannot be compiled, as contact='exact' needs: "

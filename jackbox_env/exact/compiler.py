@@ -62,16 +62,6 @@ def compiled_with(function: F, **substitutes: Any) -> F:
     return cast(F, _compiled_once(function, tuple(substitutes.items()), False))
 
 
-def compiled_for_users(function: F, **substitutes: Callable[..., Any]) -> F:
-    """Return ``function`` compiled with a user's functions, as they are now, as substitutes for those of these names.
-
-    In them a division by zero raises ZeroDivisionError, and an index past the end IndexError, as in Python. Not stored
-    on disk.
-    """
-    with _LOCK:
-        return cast(F, _Compilation(tuple(substitutes.items()), users=True).compiled(function))
-
-
 def intermediate_code(
     function: Callable[..., Any], arguments: tuple[Any, ...], **substitutes: Callable[..., Any]
 ) -> tuple[Any, str]:
@@ -86,21 +76,6 @@ def intermediate_code(
     dispatcher.compile(arguments)
     result = dispatcher.overloads[arguments]
     return result.library.linked_module(), result.fndesc.llvm_func_name
-
-
-def returned_by(function: Callable[..., Any], further: tuple[Any, ...]) -> Any:
-    """Numba's type of the value of a user's function of scene, state and ``further`` arguments like these.
-
-    Raises:
-        Exception: numba cannot compile it.
-    """
-    from numba import typeof
-
-    arguments = tuple(map(typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
-    inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
-    dispatcher = _Compilation((), users=True).compiled(function, inner=True)
-    dispatcher.get_call_template(arguments, {})
-    return dispatcher.nopython_signatures[0].return_type
 
 
 def inlined(function: F) -> F:
@@ -140,14 +115,18 @@ class _Compilation:
     def compiled(self, function: Any, inner: bool = False) -> Any:
         """The compiled function; ``inner`` if only compiled code calls it."""
         foreign, names = _top_level(function.__globals__) != _top_level(globals()), _used_names(function.__code__)
-        if self._substitutes and not foreign and _reachable_names(function).isdisjoint(self._substitutes):
+        if (
+            (self._substitutes or self._users)
+            and not foreign
+            and _reachable_names(function).isdisjoint(self._substitutes)
+        ):
             return _compilation((), True).compiled(function, inner)
         if (function, inner) not in self._twins:
             self._twins[function, inner] = function  # numba refuses a function that calls itself
             namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
             known = self._counterparts(names, namespace)
             cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-            defaults = tuple(map(_signed, function.__defaults__ or ()))
+            defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
             twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
             twin.__module__ = function.__module__
             twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
@@ -171,10 +150,58 @@ class _Compilation:
             twin = ModuleType(value.__name__)
             vars(twin).update(self._counterparts(names, vars(value)))
             return twin
-        return value
+        return _copied(value)
 
 
 _compilation = cache(_Compilation)
+
+
+class UsersFunctions(_Compilation):
+    """Compiles functions of this package with a user's functions, each of which it reads once.
+
+    In those a division by zero raises ZeroDivisionError, and an index past the end IndexError, as in Python. Nothing is
+    stored on disk.
+
+    Args:
+        substitutes: function of this object that returns the user's functions, with those that they replace by name.
+    """
+
+    def __init__(self, substitutes: Callable[[UsersFunctions], dict[str, Any]]) -> None:
+        super().__init__((), users=True)
+        self.entries: dict[Callable[..., Any], Any] = {}
+        self._substitutes = substitutes(self)
+
+    def entry(self, function: F) -> F:
+        """A function of this package, compiled."""
+        if function not in self.entries:
+            with _LOCK:
+                self.entries[function] = self.compiled(function)
+        return cast(F, self.entries[function])
+
+    def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> Any:
+        """Numba's type of the value of a user's function of scene, state and ``further`` arguments like these.
+
+        Raises:
+            Exception: numba cannot compile it.
+        """
+        from numba import typeof
+
+        arguments = tuple(map(typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
+        inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
+        with _LOCK:
+            dispatcher = self.compiled(function, inner=True)
+        _, _, with_defaults, _ = dispatcher.get_call_template(arguments, {})
+        return dispatcher.overloads[with_defaults].signature.return_type
+
+
+def _copied(value: Any) -> Any:
+    """A value as it is now: its arrays are copied, read-only as numba's constants are."""
+    if isinstance(value, np.ndarray):
+        value = value.copy()
+        value.flags.writeable = False
+    elif isinstance(value, tuple):
+        return tuple.__new__(type(value), map(_copied, value))
+    return value
 
 
 class _MinusZero(float):

@@ -39,7 +39,7 @@ class Action:
     >>> servo = Action(gym.spaces.Box(-0.5, 0.5, (1,)), towards)
 
     Like those of a :class:`jackbox_env.Task`, the function is plain arithmetic with ``math``, compiled under
-    ``contact="exact"`` once for each Action.
+    ``contact="exact"``, where it is read once.
 
     Attributes:
         space: a Box of shape (n,), or a Discrete that starts at 0.

@@ -50,13 +50,16 @@ class Task:
     ...     return (state.y_jack - state.y_box) / scene.box_half_width
     >>> lift = Task(("lift",), height)
 
-    Under ``contact="exact"`` ``values`` and ``over`` are compiled, together with the plain functions that they call. So
-    they must be plain arithmetic on numbers, with ``math``; they may read numpy arrays by index, and make none. That
-    happens once for each Task, when it is first used. If a function's globals change later, it needs a new Task. What
-    is compiled is freed with the Task, but for about 0.2 MB that LLVM keeps. ``/``, ``//`` and ``%`` by zero raise
-    ZeroDivisionError with every contact model, an index past the end IndexError. Powers and ``math`` out of their range
-    return NaN or an infinity under ``"exact"``, and raise otherwise. A reward that is NaN or infinite raises
-    :class:`TaskError`. After an error the environment is unchanged.
+    Under ``contact="exact"`` each Task, Observation and Action reads its functions once, when it is first used: the
+    plain functions that they call, globals, closures, defaults and the contents of arrays as they are then. All
+    environments, batches and rollouts use what was read. After a change make a new Task, which reads them anew. With
+    pymunk the functions are called as they are now.
+
+    What was read is compiled. So ``values`` and ``over`` must be plain arithmetic on numbers, with ``math``; they may
+    read numpy arrays by index, and make or change none. What is compiled is freed with the Task, but for about 0.2 MB
+    that LLVM keeps. ``/``, ``//`` and ``%`` by zero raise ZeroDivisionError with every contact model, an index past the
+    end IndexError. Powers and ``math`` out of their range return NaN or an infinity under ``"exact"``, and raise
+    otherwise. A reward that is NaN or infinite raises :class:`TaskError`. After an error the environment is unchanged.
 
     An environment evaluates the task at its construction, in a start of :func:`sample_start`, and at each start of an
     episode, without torque and impulse. A wrong type raises TypeError there. Arithmetic errors are ignored.
@@ -223,7 +226,8 @@ def task_of(task: str | Task, argument: str = "task") -> Task:
         raise TypeError(f"a task's over must be a plain Python function or None, got {check.shown(over)}")
     if not (start is None or callable(start)):
         raise TypeError(f"a task's start must be a function of scene and rng, or None, got {check.shown(start)}")
-    return task if isinstance(terms, tuple) else Task(tuple(listed), values, over, start)
+    object.__setattr__(task, "terms", tuple(listed))  # of the same Task, whose functions are read once
+    return task
 
 
 def checked_terms(task: Task, values: object) -> tuple[float, ...]:

@@ -136,6 +136,11 @@ def test_an_index_past_the_end_is_an_error_on_every_path_and_changes_nothing(con
             rollout(None, np.zeros(12), [0.0, 1.0], 0.02, rewards=settings["task"])
 
 
+def writing(scene: Any, state: Any, torque: float, impulse: float, table: Any = TABLE) -> tuple[float, float]:
+    table[0] += 1.0
+    return 1.0, 1.0
+
+
 FLOATS, NUMBERS = "a tuple of 2 floats, one for each term, got", "a tuple of 2 numbers, one for each term, got"
 
 
@@ -150,6 +155,7 @@ FLOATS, NUMBERS = "a tuple of 2 floats, one for each term, got", "a tuple of 2 n
         ("exact", lambda scene, state, torque, impulse: (nowhere, 1.0), "cannot be compiled.*'nowhere'"),  # type: ignore[name-defined]  # noqa: F821
         ("exact", lambda scene, state, torque, impulse: (np.sum(state * 2.0), 1.0), r"cannot be compiled.*mul\(State"),
         ("exact", lambda scene, state, torque, impulse: [state[0], 1.0], "cannot be compiled.*use single numbers"),
+        ("exact", writing, "cannot be compiled.*setitem.readonly array"),
         ("exact", lambda scene, state, torque, impulse: (GRID.flat[1], 1.0), "cannot be compiled.*flat is not checked"),
         ("exact", lambda scene, state, torque: (1.0, 1.0), "cannot be compiled.*too many positional arguments"),
         ("pymunk", lambda scene, state, torque, impulse: 1.0, NUMBERS),

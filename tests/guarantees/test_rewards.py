@@ -19,10 +19,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
+from gymnasium.vector import SyncVectorEnv
 from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
 
 import jackbox_env
-from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task
+from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, rollout
 from jackbox_env.envs import scoring
 from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.scoring import CompiledFunctions, Nouns, PlainFunctions
@@ -30,6 +31,7 @@ from jackbox_env.exact import compiler, score
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.model.scene import SceneNumbers, total
 from jackbox_env.model.tasks import TASKS
+from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
@@ -161,16 +163,28 @@ def paid_now(task: Task, contact: str = "exact") -> float:
     return env.step(0.0)[1]
 
 
-def paid_everywhere(task: Task) -> float:
-    """The same reward, asserted equal in a batch and in a rollout."""
-    batch, reward = JackInBoxVectorEnv(2, contact="exact", task=task), paid_now(task)
-    batch.reset(seed=0)
-    played: Any = jackbox_env.rollout(None, batch.states, np.zeros((2, 1)), 0.02, rewards=task)
-    assert reward == batch.step(np.zeros(2))[1][0] == played.rewards[0, 0]
+def paid_everywhere(task: Task, contact: str = "exact") -> float:
+    """The same reward, asserted equal in every kind of environment, and in a rollout."""
+    made, reward = {"contact": contact, "task": task}, paid_now(task, contact)
+    batch, stable = JackInBoxVectorEnv(2, **made), make_sb3_vec_env(2, **made)
+    sync = SyncVectorEnv([functools.partial(JackInBoxEnv, **made)] * 2)
+    stable.seed(0)
+    stable.reset()
+    for envs in (batch, sync):
+        envs.reset(seed=0)
+    states = batch.states
+    assert reward == batch.step(np.zeros(2))[1][0] == sync.step(np.zeros((2, 1)))[1][0]
+    assert np.float32(reward) == stable.step(np.zeros((2, 1)))[1][0]
+    if contact == "exact":
+        assert reward == paid_in_a_rollout(task, states)
     return reward
 
 
-WEIGHT, TABLE, PAIR = 1.0, np.array([10.0, 20.0]), (100.0, 200.0)
+def paid_in_a_rollout(task: Task, states: Any) -> float:
+    return float(rollout(None, states, np.zeros(1), 0.02, rewards=task).rewards[0, 0])
+
+
+WEIGHT = 1.0
 module: Any = ModuleType("module")
 module.weight = 1e5
 
@@ -179,27 +193,54 @@ def helper(value: float) -> float:
     return 1000.0 * value
 
 
-def reading(scene: Any, state: Any, torque: float, impulse: float, more: float = 10000.0) -> tuple[float]:
-    def inner(value: float) -> float:
-        return helper(value) + more
-
-    return (WEIGHT + TABLE[0] + PAIR[0] + inner(1.0) + module.weight,)
-
-
-def test_environments_of_one_task_share_what_is_compiled_and_a_new_task_sees_every_change(
+def test_a_task_is_read_once_for_all_environments_and_a_new_task_sees_every_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    here, task = sys.modules[__name__], Task(("paid",), reading)
-    assert paid_everywhere(task) == 111111.0
-    changes: list[tuple[Any, str, Any]] = [
-        (here, "WEIGHT", 2.0), (here, "TABLE", np.array([20.0, 20.0])), (here, "PAIR", (200.0, 1.0)),
-        (here, "helper", lambda value: 2000.0 * value), (reading, "__defaults__", (20000.0,)), (module, "weight", 2e5),
+    long, pair, more = np.full(200_000, 10.0), (np.full(6, 100.0)[::2], 7), np.full(1, 10000.0)
+
+    def reading(scene: Any, state: Any, torque: float, impulse: float, more: Any = more) -> Any:
+        def inner(value: float) -> Any:
+            return helper(value) + more[0]
+
+        return (WEIGHT + long[0] + pair[0][0] + inner(1.0) + module.weight,)
+
+    here, (alone, planned, plain) = sys.modules[__name__], (Task(["paid"], reading) for _ in range(3))
+    assert paid_now(alone) == paid_in_a_rollout(planned, np.zeros(12)) == paid_everywhere(plain, "pymunk") == 111111.0
+    changes: list[Callable[[], Any]] = [
+        lambda: monkeypatch.setattr(here, "WEIGHT", 2.0), lambda: long.fill(20.0), lambda: pair[0].fill(200.0),
+        lambda: monkeypatch.setattr(here, "helper", lambda value: 2000.0 * value),
+        lambda: more.fill(20000.0), lambda: monkeypatch.setattr(module, "weight", 2e5),
     ]  # fmt: skip
     for number, change in enumerate(changes):
-        monkeypatch.setattr(*change)
+        change()
         assert paid_now(Task(("paid",), reading)) == float("111111"[: 5 - number] + "222222"[: number + 1])
-    monkeypatch.setattr(compiler, "compiled_for_users", lambda *_, **__: pytest.fail("compiled again"))
-    assert paid_everywhere(copy.deepcopy(task)) == 111111.0
+    assert paid_everywhere(planned) == paid_everywhere(alone) == 111111.0
+    assert paid_everywhere(plain, "pymunk") == 222222.0
+    monkeypatch.setattr(compiler, "_jitted", lambda *_: pytest.fail("compiled again"))
+    assert paid_everywhere(copy.deepcopy(alone)) == 111111.0
+
+
+def test_observations_and_actions_are_read_once_too() -> None:
+    gain = np.array([0.25])
+    nouns: dict[str, Callable[[], Any]] = {
+        "task": lambda: Task(("share",), lambda scene, state, torque, impulse: torque / scene.torque_limit),
+        "observation": lambda: Observation(("gain",), 0.0, 1.0, lambda scene, state, time: (gain[0],)),
+        "action": lambda: Action(Box(-1.0, 1.0, (1,)), lambda scene, state, action, time, dt: gain[0]),
+    }
+
+    def shown(env: Any) -> set[float]:
+        """All observations, and the torque over its limit."""
+        first, (then, reward, *_) = env.reset(seed=0)[0], env.step(np.zeros(env.action_space.shape))
+        now = env.observation if isinstance(env, JackInBoxEnv) else env.observations
+        return {*map(float, np.ravel([first, then, now])), *np.ravel(reward)}
+
+    for first, then in (MAKERS, MAKERS[::-1]):
+        gain[0] = 0.25
+        made: dict[str, Any] = {"contact": "exact", **{name: noun() for name, noun in nouns.items()}}
+        envs = [first(**made)]
+        gain[0] = 0.5
+        assert [shown(env) for env in (*envs, then(**made), first(**made))] == [{0.25}] * 3
+        assert shown(then(contact="exact", **{name: noun() for name, noun in nouns.items()})) == {0.5}
 
 
 def test_functions_that_differ_only_in_their_closure_or_a_default_are_paid_apart() -> None:
@@ -226,7 +267,7 @@ def test_functions_that_differ_only_in_their_closure_or_a_default_are_paid_apart
 def test_the_compiled_code_of_a_task_is_freed_with_it() -> None:
     task = Task(("paid",), lambda scene, state, torque, impulse: (1.0,))
     assert paid_everywhere(task) == 1.0
-    alive = [weakref.ref(task), *map(weakref.ref, scoring._compiled[task].values())]
+    alive = [weakref.ref(task), *map(weakref.ref, scoring._compiled[task].entries.values())]
     del task
     gc.collect()
     assert [one() for one in alive] == [None] * 3
@@ -271,7 +312,7 @@ def test_a_thread_still_at_work_keeps_the_machine_code_that_it_calls(monkeypatch
     monkeypatch.setattr(Threads, "run", interrupted)
     with pytest.raises(RuntimeError):
         batch.step(np.zeros(2))
-    called = weakref.ref(scoring._compiled[task][score.score_block])
+    called = weakref.ref(scoring._compiled[task].entries[score.score_block])
     del batch, task
     gc.collect()
     assert called() is not None
