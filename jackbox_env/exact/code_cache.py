@@ -81,8 +81,9 @@ class CodeCache(NullCache):
         self._folders, self._shipped, self._long = folders, shipped, _LONG.get(function.__name__)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return the code compiled for this signature, or None if there is none or it cannot be used.
+        """Return the code compiled for these arguments, or None if there is none or it cannot be used.
 
+        A signature may have the type of the result, for calls by address. Code with another type is compiled anew.
         Before a function that takes long to compile, a line is printed to standard error.
         """
         context.refresh()
@@ -95,7 +96,10 @@ class CodeCache(NullCache):
                 whole = path.read_bytes()
                 if _checksum(path, whole[_HEAD:]) != whole[:_HEAD]:
                     raise ValueError("damaged")
-                return CompileResult._rebuild(context, *pickle.loads(whole[_HEAD:]))  # type: ignore[no-untyped-call]
+                made: Any = CompileResult._rebuild(context, *pickle.loads(whole[_HEAD:]))  # type: ignore[no-untyped-call]
+                result = made.signature.return_type
+                if getattr(signature, "return_type", result) == result:
+                    return made
             except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # whatever it is, compiling anew repairs it
@@ -121,5 +125,6 @@ class CodeCache(NullCache):
             )
 
     def _file_name(self, signature: Any, target: tuple[str, str, str]) -> str:
-        whole = repr((self._version, str(signature), target))
+        # By the arguments alone: before a call compiles it, the type of the result is unknown.
+        whole = repr((self._version, str(getattr(signature, "args", signature)), target))
         return f"{self._name}-{hashlib.sha256(whole.encode()).hexdigest()[:32]}.kept"

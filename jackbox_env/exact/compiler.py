@@ -38,6 +38,8 @@ Substitutes = tuple[tuple[str, Any], ...]  # names of globals, each with its sub
 _LOCK = threading.RLock()  # a function is compiled once, also if several threads need it
 _KNOWN_TO_NUMBA = {"numba", "numpy", *sys.stdlib_module_names}  # packages whose functions numba knows or refuses
 _MOST_FOLDERS = 8  # of compiled code, one for each version of the source
+# Where in this package stored code comes from: no file there imports one from elsewhere.
+_HASHED = "tools/", "model/", "exact/", "render/raster.py"
 _numbers = itertools.count()
 
 
@@ -89,6 +91,9 @@ _INLINED: set[Callable[..., Any]] = set()
 
 @cache
 def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_disk: bool) -> Any:
+    for one in (function, *dict(substitutes).values()) if on_disk else ():
+        if not f"{one.__module__.partition('.')[2].replace('.', '/')}.py".startswith(_HASHED):
+            raise ValueError(f"code of {_full_name(one)} cannot be stored: the hash of the source leaves its file out")
     with _LOCK:
         return _compilation(substitutes, on_disk).compiled(function)
 
@@ -268,8 +273,9 @@ def _top_level(named: Mapping[str, Any]) -> str:
 
 @cache
 def _folder_name(package: Path = PACKAGE) -> str:
-    """Folder of compiled code, by a hash of the whole source: the code of a function includes that of its callees."""
-    sources = (source.read_bytes() for source in sorted(package.rglob("*.py")))
+    """Folder of compiled code, by a hash of all that it may come from: the code of a function includes its callees."""
+    paths = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
+    sources = (paths[name].read_bytes() for name in sorted(paths) if name.startswith(_HASHED))
     return f"compiled-{hashlib.sha256(b''.join(sources)).hexdigest()[:16]}"
 
 

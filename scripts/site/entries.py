@@ -19,9 +19,9 @@ from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, Workspace, make_numbers
-from jackbox_env.mechanics import energy_of
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over
+from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.scene import SceneNumbers, square_inertia
 from jackbox_env.model.states import clearance

@@ -20,6 +20,7 @@ from numba.core.codegen import JITCPUCodegen
 import jackbox_env
 from jackbox_env.exact import code_cache, compiler
 from jackbox_env.exact.geometry import cos_sin, cos_sin_within, quarter
+from tests.test_architecture import _graph, _sources
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
 
@@ -192,10 +193,39 @@ def test_shipped_code_that_does_not_fit_is_not_loaded(
     assert turned() == 0
 
 
-def test_a_change_in_any_source_of_the_package_is_seen(tmp_path: Path) -> None:
-    package = tmp_path / "jackbox_env"
+# -- keys -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_change_in_what_compiled_code_comes_from_gives_new_code_and_none_elsewhere(tmp_path: Path) -> None:
+    package, folder_name, changing = tmp_path / "jackbox_env", compiler._folder_name.__wrapped__, set[str]()
     shutil.copytree(Path(jackbox_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
-    name = compiler._folder_name.__wrapped__
-    assert name(package) == name(Path(jackbox_env.__file__).parent)
-    (package / "exact" / "contact.py").write_text("")
-    assert name(package) != name(Path(jackbox_env.__file__).parent)
+    before = folder_name(package)
+    assert before == compiler._folder_name()
+    for path in package.rglob("*.py"):
+        source = path.read_text()
+        path.write_text(f"{source}CHANGED = 1\n")
+        if folder_name(package) != before:
+            changing.add(".".join(path.relative_to(tmp_path).with_suffix("").parts).removesuffix(".__init__"))
+        path.write_text(source)
+    assert {"jackbox_env.exact.run", "jackbox_env.model.tasks", "jackbox_env.render.raster"} < changing
+    assert set[str]().union(*map(_graph(_sources()).__getitem__, changing)) <= changing  # constants come from there too
+    assert {module.split(".")[1] for module in changing} == {"tools", "model", "exact", "render"}
+    assert "jackbox_env.render.renderer" not in changing
+
+
+@pytest.mark.parametrize(("function", "others"), [(jackbox_env.rollout, {}), (quarter, {"abs": jackbox_env.rollout})])
+def test_code_of_a_function_from_elsewhere_is_not_stored(function: Any, others: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"^code of jackbox_env.planning.rollouts.rollout cannot be stored: "):
+        compiler.compiled(function, **others)
+
+
+def test_code_compiled_for_a_call_is_used_by_address_if_the_type_of_the_result_fits(cache: Path) -> None:
+    called, hits = fresh(quarter), list[int]()
+    called(*TURN[0])
+    (inferred,) = called.nopython_signatures
+    other = numba.types.UniTuple(numba.float32, 2)(*inferred.args)
+    for signature in (inferred, other, other, inferred.args):
+        made = fresh(quarter)
+        made.compile(signature)
+        hits.append(sum(made.stats.cache_hits.values()))
+    assert (hits, len(files(cache))) == ([1, 0, 1, 1], 1)
