@@ -43,7 +43,8 @@ test: .venv/ready
 test-all: TESTS := not slow and not sweep
 test-all: test-slow test
 
-# What make test leaves out: whole sweeps, kills, soaks, long runs, and the environment under the oldest Gymnasium covered.
+# What make test leaves out: whole sweeps, kills, soaks, long runs, make wheel, and the environment under the oldest
+# Gymnasium covered.
 test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
 	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(WORKERS) $(UNDER_OLD_GYMNASIUM)
 	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) --whole -m "slow or sweep"
@@ -150,10 +151,10 @@ recipes: .venv/ready
 recipes-table: .venv/ready
 	@$(BIN)/python scripts/studies/recipes/recipes.py
 
-# Two wheels in dist: one for any platform, and one for Linux with the exact model compiled, which is then tried.
+# Two wheels in dist: one for any platform, and one for Linux with the exact model compiled. A slow test builds both, and
+# tries the second.
 wheel: .venv/ready
-	@$(BIN)/python scripts/wheel.py
-	@JACKBOX_WHEEL=1 $(PYTEST) tests/commands/test_wheel.py -k shipped
+	@$(PYTEST) -rs -m slow tests/commands/test_wheel.py -k shipped
 
 # The core of the tests under the oldest and the newest dependencies allowed, and whether the bits are the same; 6 minutes.
 ranges: .venv/ready

@@ -7,6 +7,7 @@ it does not fit, the exact model is compiled on first use, as from the first whe
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -27,35 +28,55 @@ def call_all() -> None:
     """Call everything whose compiled code is cached on disk, and so cache it."""
     import numpy as np
 
-    from jackbox_env import Drive, Scene, make_simulator, rollout
+    from jackbox_env import Drive, Scene, Task, make_simulator, rollout, simulate
     from jackbox_env.envs.single import JackInBoxEnv
     from jackbox_env.envs.vector import JackInBoxVectorEnv
     from jackbox_env.exact import late
     from jackbox_env.exact.workspace import new_workspaces
+    from jackbox_env.model.action import ACTIONS
+    from jackbox_env.model.observation import OBSERVATIONS
     from jackbox_env.model.tasks import TASKS
     from jackbox_env.planning import linearization
 
     make_simulator(Scene(drive=Drive(torque=lambda time: 1e4)), "exact").step(0.02)
-    for task in TASKS:
-        env = JackInBoxEnv(contact="exact", task=task)
+    users = Task(("zero",), lambda scene, state, torque, impulse: (0.0,))
+    names = {"task": (*TASKS, users), "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS}
+    for settings in [{kind: name} for kind in names for name in names[kind]]:
+        env = JackInBoxEnv(contact="exact", **settings)
         env.reset()
-        env.step(0.0)
-        envs = JackInBoxVectorEnv(2, contact="exact", task=task, randomize={"jack_mass": (3.0, 5.0)})
+        env.step(env.action_space.sample())
+        envs = JackInBoxVectorEnv(2, contact="exact", randomize={"jack_mass": (3.0, 5.0)}, **settings)
         envs.reset()
-        envs.step(np.zeros((2, 1)))
-        rollout(None, np.zeros(12), np.zeros(2), 0.02, rewards=task)
+        for _ in range(2):  # the second changes arguments in place
+            envs.step(envs.action_space.sample())
+    rollout(None, np.zeros(12), np.zeros(2), 0.02)
+    simulate(duration=0.1)(0.05)
     linearization.ensure_compiled()
     late.with_all(new_workspaces())
 
 
+def missing(cache: Path) -> list[str]:
+    """The names of functions that the package passes to ``compiled`` or ``compiled_for``, without code in a folder."""
+    sources = "".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "jackbox_env").rglob("*.py")))
+    passed = " ".join(re.findall(r"\bcompiled(?:_for\([\w.]+,|\()([^()]*)\)", sources))
+    names = {*re.findall(r"(?<!=)\b\w+\b(?!=)", passed)} & {*re.findall(r"^def (\w+)", sources, re.MULTILINE)}
+    return sorted(names - {path.name.partition("-")[0].partition(".")[2] for path in cache.rglob("*.kept")})
+
+
 def compile_into(cache: Path, package: Path) -> None:
-    """Fill a cache folder with the compiled code of an unpacked package, in a separate process."""
+    """Fill a cache folder with the compiled code of an unpacked package, in a separate process.
+
+    Raises:
+        SystemExit: code is missing.
+    """
     from jackbox_env.exact.code_cache import SHIPPED_FOR
 
     target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(cache)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]
     paths = os.pathsep.join(map(str, (package, ROOT)))
     subprocess.run(command, check=True, cwd=cache, env={**os.environ, **target, "PYTHONPATH": paths})
+    if lacking := missing(cache):
+        raise SystemExit(f"call_all in scripts/wheel.py does not call {', '.join(lacking)}: no code to ship")
 
 
 def with_code(pure: Path, cache: Path, out: Path) -> None:
