@@ -287,36 +287,32 @@ def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
     Raises:
         TypeError: they do not, or cannot be compiled.
     """
-    from numba import config
-
+    from jackbox_env.exact.compiler import is_disabled
     from jackbox_env.exact.score import one_term
 
     if users is None:
         return {"task_terms": task.values}
     ends = {} if task.over is None else {"task_over": task.over}
-    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if is_disabled():
         return {"task_terms": partial(_plain_terms, users.compiled(task.values, inner=True)), **ends}
     single = _is_number(users, task.values, "task", (0.0, 0.0), len(task.terms), "term")
     if task.over is not None:
-        from numba.core import types
-
-        if not isinstance(returned := _returned_by(users, task.over, "task", (0.0, 0.0)), types.Boolean):
+        returned, named = _returned_by(users, task.over, "task", (0.0, 0.0))
+        if returned is not bool:
             raise TypeError(
-                f"the task's function {task.over.__qualname__} must return True or False, got what numba calls "
-                f"{returned}"
+                f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {named}"
             )
     return ({"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}) | ends
 
 
 def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an observation."""
-    from numba import config
-
+    from jackbox_env.exact.compiler import is_disabled
     from jackbox_env.exact.score import observe_landing, observe_values
 
     if users is None:
         return {} if observation is STATE else {"observe": observe_landing}
-    if not config.DISABLE_JIT and _is_number(  # type: ignore[attr-defined]
+    if not is_disabled() and _is_number(
         users, observation.values, "observation", (0.0,), len(observation.names), "name"
     ):
         raise TypeError(f"an observation's values must return a tuple, got a number from {observation.values}")
@@ -326,19 +322,16 @@ def _of_observation(observation: Observation, users: UsersFunctions | None) -> d
 
 def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an action."""
-    from numba import config
-    from numba.core import types
-
+    from jackbox_env.exact.compiler import is_disabled
     from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
     example: Any = (0.0,) * action.size or 0
     read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)
-    if users and not config.DISABLE_JIT:  # type: ignore[attr-defined]
-        returned = _returned_by(users, action.torque, "action", (example, 0.0, 0.0))
-        if not isinstance(returned, types.Number | types.Boolean) or returned in types.complex_domain:
+    if users and not is_disabled():
+        returned, named = _returned_by(users, action.torque, "action", (example, 0.0, 0.0))
+        if returned not in (bool, float):
             raise TypeError(
-                f"the action's function {action.torque.__qualname__} must return a number, got what numba calls "
-                f"{returned}"
+                f"the action's function {action.torque.__qualname__} must return a number, got what numba calls {named}"
             )
     return {"action_torque": action.torque, "action_in": read}
 
@@ -356,16 +349,12 @@ def _is_number(
     Raises:
         TypeError: it returns something else, or cannot be compiled.
     """
-    from numba.core import types
-
-    returned: Any = _returned_by(users, function, owner, further)
-    single = isinstance(returned, types.Number | types.Boolean)
-    many: Any = types.UniTuple(returned, 1) if single else returned  # type: ignore[no-untyped-call]
-    fits = isinstance(many, types.UniTuple) and isinstance(many.dtype, types.Number | types.Boolean)
-    if not (fits and len(many) == count and many.dtype not in types.complex_domain):
+    returned, named = _returned_by(users, function, owner, further)
+    single = returned in (bool, float)
+    if returned != (float,) * count and not (single and count == 1):
         raise TypeError(
             f"the {owner}'s function {function.__qualname__} must return a tuple of {count} floats, one for each "
-            f"{each}, got what numba calls {returned}"
+            f"{each}, got what numba calls {named}"
         )
     return single
 
@@ -376,8 +365,14 @@ def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ..
     return returned if isinstance(returned, tuple) else (returned,)
 
 
-def _returned_by(users: UsersFunctions, function: Callable[..., Any], owner: str, further: tuple[Any, ...]) -> Any:
-    """Numba's type of what a user's function returns, of scene, state and ``further`` arguments like these."""
+def _returned_by(
+    users: UsersFunctions, function: Callable[..., Any], owner: str, further: tuple[Any, ...]
+) -> tuple[Any, str]:
+    """As ``UsersFunctions.returned_by``.
+
+    Raises:
+        TypeError: the function cannot be compiled.
+    """
     try:
         return users.returned_by(function, further)
     except Exception as error:

@@ -14,7 +14,6 @@ signature, when a function is first called with it.
 from __future__ import annotations
 
 import hashlib
-import pickle
 import sys
 import warnings
 from collections.abc import Sequence
@@ -26,10 +25,8 @@ from typing import Any
 
 import llvmlite  # type: ignore[import-untyped]
 import numba
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
 
+from jackbox_env.exact.pipelines import NullCache, dumped, loaded, target_of
 from jackbox_env.tools import files
 
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code
@@ -86,8 +83,7 @@ class CodeCache(NullCache):
         A signature may have the type of the result, for calls by address. Code with another type is compiled anew.
         Before a function that takes long to compile, a line is printed to standard error.
         """
-        context.refresh()
-        triple, _, features = target = context.codegen().magic_tuple()  # numba loads code whatever it was compiled for
+        triple, _, features = target = target_of(context)  # numba loads code whatever it was compiled for
         paths = [folder / self._file_name(signature, target) for folder in self._folders]
         if _NEEDS.issubset(features.split(",")):
             paths.append(self._shipped / self._file_name(signature, (triple, SHIPPED_FOR, "")))
@@ -96,7 +92,7 @@ class CodeCache(NullCache):
                 whole = path.read_bytes()
                 if _checksum(path, whole[_HEAD:]) != whole[:_HEAD]:
                     raise ValueError("damaged")
-                made: Any = CompileResult._rebuild(context, *pickle.loads(whole[_HEAD:]))  # type: ignore[no-untyped-call]
+                made = loaded(whole[_HEAD:], context)
                 result = made.signature.return_type
                 if getattr(signature, "return_type", result) == result:
                     return made
@@ -110,10 +106,10 @@ class CodeCache(NullCache):
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Save the code compiled for this signature, unless it contains addresses, which hold in one process only."""
-        if result.library.has_dynamic_globals:
+        code = dumped(result)
+        if code is None:
             return
-        path = self._folders[-1] / self._file_name(signature, result.library.codegen.magic_tuple())
-        code: bytes = dumps(result._reduce())  # type: ignore[no-untyped-call]
+        path = self._folders[-1] / self._file_name(signature, target_of(result.target_context))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed since this process looked
             with files.replacing(path) as partial:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import inspect
 import itertools
 import math
 import os
@@ -30,6 +29,7 @@ import numpy as np
 
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import State
+from jackbox_env.tools.signals import uninterrupted
 
 PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -67,7 +67,7 @@ def compiled_with(function: F, **substitutes: Any) -> F:
 def intermediate_code(
     function: Callable[..., Any], arguments: tuple[Any, ...], **substitutes: Callable[..., Any]
 ) -> tuple[Any, str]:
-    """LLVM's module of a function with all that it calls, not yet machine code, and the function's name in it.
+    """Numba's library of a function with all that it calls, not yet machine code, and the function's name in it.
 
     Args:
         function: a plain function.
@@ -75,9 +75,21 @@ def intermediate_code(
         **substitutes: functions that replace those of these names.
     """
     dispatcher = _Compilation(tuple(substitutes.items())).compiled(function, inner=True)
-    dispatcher.compile(arguments)
-    result = dispatcher.overloads[arguments]
-    return result.library.linked_module(), result.fndesc.llvm_func_name
+    result = _native().compiled_at(dispatcher, arguments)
+    return result.library, result.fndesc.llvm_func_name
+
+
+@cache
+def _native() -> ModuleType:
+    """The module that imports numba, without interruption: a second import of what is half imported fails."""
+    with uninterrupted():
+        from jackbox_env.exact import pipelines
+    return pipelines
+
+
+def is_disabled() -> bool:
+    """Whether ``NUMBA_DISABLE_JIT`` leaves all functions as they are."""
+    return bool(_native().numba.config.DISABLE_JIT)
 
 
 def inlined(function: F) -> F:
@@ -94,7 +106,7 @@ def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_di
     for one in (function, *dict(substitutes).values()) if on_disk else ():
         if not f"{one.__module__.partition('.')[2].replace('.', '/')}.py".startswith(_HASHED):
             raise ValueError(f"code of {_full_name(one)} cannot be stored: the hash of the source leaves its file out")
-    with _LOCK:
+    with _LOCK, uninterrupted():
         return _compilation(substitutes, on_disk).compiled(function)
 
 
@@ -128,17 +140,24 @@ class _Compilation:
             return _compilation((), True).compiled(function, inner)
         if (function, inner) not in self._twins:
             self._twins[function, inner] = function  # numba refuses a function that calls itself
-            namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
-            known = self._counterparts(names, namespace)
-            cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-            defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
-            twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
-            twin.__module__ = function.__module__
-            twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
-            self._twins[function, inner] = _jitted(
-                twin, inner, inner and function in _INLINED, foreign and self._users, self._on_disk and not inner
-            )
+            try:
+                self._twins[function, inner] = self._twin(function, inner, foreign, names)
+            except BaseException:
+                del self._twins[function, inner]
+                raise
         return self._twins[function, inner]
+
+    def _twin(self, function: Any, inner: bool, foreign: bool, names: set[str]) -> Any:
+        """The function compiled, which uses these ``names`` and is ``foreign`` if it is not of this package."""
+        namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
+        known = self._counterparts(names, namespace)
+        cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
+        defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
+        twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
+        twin.__module__ = function.__module__
+        twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
+        inline, checked = inner and function in _INLINED, foreign and self._users
+        return _jitted(twin, inner, inline, checked, self._on_disk and not inner)
 
     def _counterparts(self, names: set[str], values: Mapping[str, Any]) -> dict[str, Any]:
         """The globals, or a module's attributes, of these names, as their counterparts in compiled code."""
@@ -179,24 +198,28 @@ class UsersFunctions(_Compilation):
     def entry(self, function: F) -> F:
         """A function of this package, compiled."""
         if function not in self.entries:
-            with _LOCK:
+            with _LOCK, uninterrupted():
                 self.entries[function] = self.compiled(function)
         return cast(F, self.entries[function])
 
-    def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> Any:
-        """Numba's type of the value of a user's function of scene, state and ``further`` arguments like these.
+    def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
+        """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
+
+        That is ``bool``, ``float`` for another real number, ``(float, float)`` for two of one type, or None.
 
         Raises:
             Exception: numba cannot compile it.
         """
-        from numba import typeof
-
-        arguments = tuple(map(typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
-        inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
-        with _LOCK:
-            dispatcher = self.compiled(function, inner=True)
-        _, _, with_defaults, _ = dispatcher.get_call_template(arguments, {})
-        return dispatcher.overloads[with_defaults].signature.return_type
+        native = _native()
+        types, arguments = native.types, tuple(map(native.typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
+        with _LOCK, uninterrupted():
+            returned = native.return_type(self.compiled(function, inner=True), function, arguments)
+        many = returned if isinstance(returned, types.UniTuple) else types.UniTuple(returned, 1)
+        if not isinstance(many.dtype, types.Number | types.Boolean) or many.dtype in types.complex_domain:
+            return None, str(returned)
+        if many is returned:
+            return (float,) * len(many), str(returned)
+        return bool if isinstance(returned, types.Boolean) else float, str(returned)
 
 
 def _copied(value: Any) -> Any:
@@ -228,23 +251,19 @@ def _signed(default: Any) -> Any:
 
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
-    from numba import config, njit
-
-    from jackbox_env.exact.code_cache import CodeCache
-    from jackbox_env.exact.pipelines import FreedCompiler, InnerCompiler, PackageCompiler
-
-    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if is_disabled():
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
-    # Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took
-    # two thirds of a step. And without entry points from Python for functions that only compiled code calls: they take
-    # a third of the time to compile.
-    pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
-    dispatcher = cast(Any, njit)(
-        nogil=True, error_model="python" if checked else "numpy", boundscheck=checked, _nrt=False,
-        no_cpython_wrapper=inner, no_cfunc_wrapper=inner, forceinline=inline, pipeline_class=pipeline,
-    )(twin)  # fmt: skip
-    if on_disk:  # njit(cache=True) would set numba's own cache here
-        dispatcher._cache = CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name())
+    from jackbox_env.exact.code_cache import CodeCache, warn_once
+
+    native = _native()
+    if native.LACKING:
+        warn_once(
+            f"the exact model is compiled more slowly, and anew in each process, without {native.LACKING[0]}, which "
+            "numba 0.61 to 0.69 have"
+        )
+    dispatcher = native.jitted(twin, inner, inline, checked, on_disk)
+    if on_disk and not native.LACKING:
+        native.set_cache(dispatcher, CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name()))
     return dispatcher
 
 
@@ -302,8 +321,8 @@ def cache_folders() -> list[Path]:
     return folders or [folder]
 
 
-def called_at(signature: str) -> Callable[[Any], Callable[..., int]]:
-    """A function that returns the function at an address of :func:`address_of`, of this numba signature.
+def called_at(signature: Callable[[Any], Any]) -> Callable[[Any], Callable[..., int]]:
+    """A function that returns the function at an address of :func:`address_of`; ``signature`` is one of numba's types.
 
     Uncompiled, the address is the function itself.
     """
@@ -311,20 +330,15 @@ def called_at(signature: str) -> Callable[[Any], Callable[..., int]]:
     def function_at(address: Any) -> Callable[..., int]:
         return cast(Callable[..., int], address)
 
-    _SIGNATURES[function_at] = signature
+    _SIGNATURES[function_at] = lambda: signature(_native().types)
     return function_at
-
-
-def fixed_tuple(array: Any, length: int) -> tuple[Any, ...]:
-    """The first ``length`` numbers of an array as a tuple; ``length`` is a constant of the compiled function."""
-    return tuple(array[:length].tolist())
 
 
 PACKED = 512  # float64 numbers, enough memory for the arguments of ``run.run``
 
 
-def packed(memory: Any, value: T) -> T:
-    """Store a value in ``memory``, shape (PACKED,), and return the address; uncompiled, the value itself.
+def packed(address: Any, value: T) -> T:
+    """Store a value at the address of an array, shape (PACKED,), and return it; uncompiled, the value itself.
 
     Passing an address to compiled code takes less time than passing 30 arrays. The arrays must live as long.
     """
@@ -344,24 +358,15 @@ def called_later(function: Callable[[], F], example: Callable[[], tuple[Any, ...
     def function_at(_address: Any) -> F:
         return function()
 
-    _SIGNATURES[function_at] = example
+    def signature() -> Any:
+        result, *arguments = map(_native().typeof, example())
+        return result(*arguments)
+
+    _SIGNATURES[function_at] = signature
     return function_at
 
 
-_SIGNATURES: dict[Callable[..., Any], str | Callable[[], tuple[Any, ...]]] = {}
-
-
-def _signature_of(function_at: Callable[..., Any]) -> Any:
-    """Numba's signature of a function at an address."""
-    from numba import typeof
-    from numba.core import sigutils
-
-    known = _SIGNATURES[function_at]
-    if isinstance(known, str):
-        arguments, result = sigutils.normalize_signature(known)  # type: ignore[no-untyped-call]
-        return result(*arguments)
-    result, *arguments = map(cast(Any, typeof), known())
-    return result(*arguments)
+_SIGNATURES: dict[Callable[..., Any], Callable[[], Any]] = {}  # return numba's signatures
 
 
 def is_compiled(_address: Any) -> bool:
@@ -384,62 +389,23 @@ _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 def _intrinsic(function: Any) -> Any:
     """The compiled counterpart of a function that only compiled code can have, or None."""
-    known = function in (fixed_tuple, packed, is_compiled) or function in _EXAMPLES or function in _SIGNATURES
+    known = function in (packed, is_compiled) or function in _EXAMPLES or function in _SIGNATURES
     return _make_intrinsic(function) if known else None
 
 
 @cache
 def _make_intrinsic(function: Any) -> Any:
     """Itself under NUMBA_DISABLE_JIT."""
-    from numba import config, typeof, types
-    from numba.core import cgutils
-    from numba.core.errors import TypingError
-    from numba.core.typing.templates import Signature
-    from numba.extending import intrinsic
-    from numba.np.unsafe.ndarray import to_fixed_tuple
-
-    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if is_disabled():
         return function
     if function is is_compiled:
         return bool
-    if function is fixed_tuple:
-        return to_fixed_tuple
-
-    @intrinsic
-    def store(typing: Any, memory: Any, value: Any) -> Any:
-        if value not in [typeof(made()) for made in _EXAMPLES.values()]:  # type: ignore[no-untyped-call]
-            raise TypingError(f"packed: {value} is of no type that is unpacked")  # it would be read as something else
-
-        def generate(context: Any, builder: Any, signature: Signature, values: Any) -> Any:
-            if context.get_abi_sizeof(values[1].type) > 8 * PACKED:
-                raise ValueError(f"{value} has no room in {PACKED} numbers")
-            pointer = context.make_array(memory)(context, builder, values[0]).data
-            builder.store(values[1], builder.bitcast(pointer, values[1].type.as_pointer()))
-            return builder.ptrtoint(pointer, context.get_value_type(types.int64))
-
-        return types.int64(memory, value), generate
-
+    native = _native()
     if function is packed:
-        return store
-    called_there = function in _SIGNATURES
-    if called_there:
-        kind: Any = types.FunctionType(_signature_of(function))
-    else:
-        kind = typeof(_EXAMPLES[function]())  # type: ignore[no-untyped-call]
-
-    @intrinsic
-    def load(typing: Any, address: Any) -> Any:
-        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            if not called_there:
-                return builder.load(builder.inttoptr(values[0], context.get_value_type(kind).as_pointer()))
-            called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
-            # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
-            called.jit_addr = builder.inttoptr(values[0], cgutils.voidptr_t)
-            return called._getvalue()
-
-        return kind(types.int64), generate
-
-    return load
+        return native.stored_at(lambda: [made() for made in _EXAMPLES.values()])
+    if function in _SIGNATURES:
+        return native.loaded_from(native.types.FunctionType(_SIGNATURES[function]()))
+    return native.loaded_from(native.typeof(_EXAMPLES[function]()))
 
 
 def address_of(dispatcher: Any, function_at: Callable[[Any], Any]) -> int:
@@ -451,7 +417,6 @@ def address_of(dispatcher: Any, function_at: Callable[[Any], Any]) -> int:
     if dispatcher is None or isinstance(dispatcher, FunctionType):
         return cast(int, dispatcher or 0)
     if not hasattr(dispatcher, "address"):
-        dispatcher.compile(_signature_of(function_at))
-        (made,) = dispatcher.overloads.values()
-        dispatcher.address = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        native = _native()
+        dispatcher.address = native.address_in(native.compiled_at(dispatcher, _SIGNATURES[function_at]()))
     return cast(int, dispatcher.address)

@@ -2,46 +2,108 @@
 
 Four fifths of the time to compile go to Python code that derives types and writes LLVM's code. :class:`PackageCompiler`
 saves half of it for the functions of this package. Users' functions are compiled by numba's own passes.
+
+No other file uses names of numba or llvmlite that their manuals lack. Without one of ``NEEDED`` nothing is compiled.
+Without one of ``FASTER`` numba's public ``njit`` compiles the same code, more slowly, anew in each process and never
+freed; ``LACKING`` has those names.
 """
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import inspect
 import itertools
-from collections.abc import Iterator
+import pickle
+import pkgutil
+from collections.abc import Callable, Iterator
+from functools import cache
 from operator import getitem, setitem
-from typing import Any, ClassVar, cast
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
-from numba.core import typed_passes, types, untyped_passes
-from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
-from numba.core.compiler import Compiler
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import PassManager
-from numba.core.errors import TypingError
-from numba.core.typing.context import Context
+import numba
+from numba import njit, typeof, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from jackbox_env.tools.signals import uninterrupted
+
+# Where a name is, or a function that uses it and the name.
+NEEDED = (
+    "numba.core.options:DefaultOptions._nrt", "numba.core.dispatcher:_DispatcherBase.get_overload overloads",
+    "numba.core.compiler:CompileResult.library", "numba.core.compiler:CompileResult.fndesc",
+    "numba.core.compiler:CompileResult.signature", "numba.core.funcdesc:FunctionDescriptor.llvm_func_name",
+    "numba.core.codegen:JITCodeLibrary.get_pointer_to_function",
+    "numba.experimental.function_type:FunctionModel.__init__ jit_addr",
+)  # fmt: skip
+FASTER = (
+    "llvmlite.binding.ffi:ObjectRef._dispose", "llvmlite.binding.newpassmanagers:ModulePassManager",
+    "llvmlite.binding.newpassmanagers:FunctionPassManager",
+    "numba.core.caching:NullCache.load_overload", "numba.core.caching:NullCache.save_overload",
+    "numba.core.codegen:JITCPUCodegen.create_library", "numba.core.codegen:JITCPUCodegen.magic_tuple",
+    "numba.core.codegen:JITCPUCodegen.set_env", "numba.core.codegen:JITCodeLibrary._finalize_dynamic_globals",
+    "numba.core.codegen:JITCodeLibrary._finalize_final_module", "numba.core.codegen:JITCodeLibrary._finalized",
+    "numba.core.codegen:JITCodeLibrary._optimize_final_module", "numba.core.codegen:JITCodeLibrary.codegen",
+    "numba.core.codegen:JITCodeLibrary.has_dynamic_globals", "numba.core.compiler:Compiler.compile_extra",
+    "numba.core.compiler:Compiler.define_pipelines", "numba.core.compiler:CompilerBase.__init__ typingctx",
+    "numba.core.compiler:CompileResult._rebuild", "numba.core.compiler:CompileResult._reduce",
+    "numba.core.compiler:CompileResult.target_context",
+    "numba.core.compiler_machinery:PassManager.add_pass", "numba.core.compiler_machinery:PassManager.finalize",
+    "numba.core.compiler_machinery:PassManager.__init__ passes",
+    "numba.core.compiler_machinery:PassManager.__init__ pipeline_name", "numba.core.cpu:CPUContext.codegen",
+    "numba.core.cpu:CPUContext.refresh", "numba.core.dispatcher:Dispatcher.__init__ _cache",
+    "numba.core.options:DefaultOptions.forceinline", "numba.core.options:DefaultOptions.no_cfunc_wrapper",
+    "numba.core.options:DefaultOptions.no_cpython_wrapper", "numba.core.serialize:dumps",
+    "numba.core.types:BaseFunction", "numba.core.types:Dispatcher", "numba.core.types:unliteral",
+    "numba.core.typing.context:Context.resolve_function_type",
+)  # fmt: skip
+
+
+def _lacking(names: tuple[str, ...]) -> list[str]:
+    """Those of the names above that the installed numba and llvmlite lack."""
+    lacking = []
+    for name in names:
+        where, _, used = name.partition(" ")
+        try:
+            code = pkgutil.resolve_name(where)
+            if used and used not in (*code.__code__.co_names, *code.__code__.co_consts):
+                lacking.append(used)
+        except (ImportError, AttributeError):
+            lacking.append(where)
+    return lacking
+
+
+for _name in _lacking(NEEDED):
+    raise RuntimeError(f"the exact model cannot be compiled without {_name}, which numba 0.61 to 0.69 have")
+LACKING = _lacking(FASTER)
+if TYPE_CHECKING or not LACKING:
+    from llvmlite.binding import ffi, newpassmanagers  # type: ignore[import-untyped]
+    from numba.core.caching import NullCache as NullCache
+    from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+    from numba.core.compiler import Compiler, CompileResult
+    from numba.core.compiler_machinery import PassManager
+    from numba.core.serialize import dumps
+    from numba.core.typing.context import Context
+
+    # Since llvmlite 0.45 an empty method of another base class hides the one that frees a pass manager. Each has 30 kB,
+    # and numba makes one for each function in what it compiles: about 2 MB for a user's task.
+    for _kind in newpassmanagers.ModulePassManager, newpassmanagers.FunctionPassManager:
+        for _base in _kind.__mro__:
+            if "_dispose" in vars(_base) and _base is not ffi.ObjectRef:
+                _kind._dispose = _base._dispose
+else:  # of what follows, only the functions at the end are used
+    Compiler = Context = JITCodeLibrary = JITCPUCodegen = NullCache = object
 
 _numbers = itertools.count()
-
-# Since llvmlite 0.45 an empty method of another base class hides the one that frees a pass manager. Each has 30 kB, and
-# numba makes one for each function in what it compiles: about 2 MB for a user's task.
-for _kind in newpassmanagers.ModulePassManager, newpassmanagers.FunctionPassManager:
-    if _kind._dispose is ffi.ObjectRef._dispose:
-        _kind._dispose = newpassmanagers.NewPassManager._dispose
-
 
 # Passes for what no function of this package has: closures, comprehensions, expressions of whole arrays, arguments that
 # are None, with-statements, literal_unroll.
 _NEEDLESS = {
-    untyped_passes.WithLifting, untyped_passes.InlineClosureLikes, untyped_passes.RewriteSemanticConstants,
-    untyped_passes.DeadBranchPrune, untyped_passes.RewriteDynamicRaises, untyped_passes.MakeFunctionToJitFunction,
-    untyped_passes.InlineInlinables, untyped_passes.FindLiterallyCalls, untyped_passes.LiteralUnroll,
-    untyped_passes.LiteralPropagationSubPipelinePass, typed_passes.NopythonRewrites,
+    "WithLifting", "InlineClosureLikes", "RewriteSemanticConstants", "DeadBranchPrune", "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction", "InlineInlinables", "FindLiterallyCalls", "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass", "NopythonRewrites",
 }  # fmt: skip
-
-
-_unliteral: Any = types.unliteral
 
 
 class _Typing(Context):
@@ -59,8 +121,8 @@ class _Typing(Context):
     def resolve_function_type(self, function: Any, arguments: Any, keywords: Any) -> Any:
         """Numba's signature of a call of ``function`` with arguments of these types."""
         if isinstance(function, types.Dispatcher):
-            arguments = tuple(map(_unliteral, arguments))
-            keywords = {name: _unliteral(kind) for name, kind in keywords.items()}
+            arguments = tuple(map(cast(Any, types.unliteral), arguments))
+            keywords = {name: cast(Any, types.unliteral)(kind) for name, kind in keywords.items()}
         elif isinstance(function, types.BaseFunction) or function in (getitem, setitem):
             key = function, tuple(arguments), tuple(dict(keywords).items())
             if key not in self._resolved:
@@ -97,7 +159,7 @@ class PackageCompiler(Compiler):
             compiled = super().compile_extra(function)  # type: ignore[no-untyped-call]
         for signature in () if self._plain else self.state.calltypes.values():
             if signature and len(signature.args) > 1 and isinstance(signature.args[0], types.NumpyFlatType):
-                raise TypingError("an index of .flat is not checked; use the array's own indices")
+                raise numba.TypingError("an index of .flat is not checked; use the array's own indices")
         return compiled
 
     def define_pipelines(self) -> list[PassManager]:
@@ -107,7 +169,7 @@ class PackageCompiler(Compiler):
             return [whole]
         lighter = PassManager(whole.pipeline_name)  # type: ignore[no-untyped-call]
         for one, purpose in whole.passes:
-            if one not in _NEEDLESS:
+            if one.__name__ not in _NEEDLESS:
                 lighter.add_pass(one, purpose)  # type: ignore[no-untyped-call]
         lighter.finalize()  # type: ignore[no-untyped-call]
         return [lighter]
@@ -125,16 +187,10 @@ class _IntermediateCode(JITCodeLibrary):
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
-        self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0
-
-    def linked_module(self) -> Any:
-        with global_compiler_lock:
-            self._ensure_finalized()  # type: ignore[no-untyped-call]
-        return self._final_module.clone()
 
     @property
     def codegen(self) -> Any:
@@ -149,7 +205,6 @@ class InnerCompiler(PackageCompiler):
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
         library = _IntermediateCode(target.codegen(), f"inner{next(_numbers)}")  # type: ignore[no-untyped-call]
-        library.enable_object_caching()
         super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
 
 
@@ -160,3 +215,121 @@ class FreedCompiler(PackageCompiler):
         name = f"freed{next(_numbers)}"
         library = JITCPUCodegen(name).create_library(name)  # type: ignore[no-untyped-call]
         super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
+
+
+def dumped(result: Any) -> bytes | None:
+    """The machine code of a result of :func:`compiled_at`, or None if it has addresses of this process."""
+    if result.library.has_dynamic_globals:
+        return None
+    return cast(bytes, dumps(result._reduce()))  # type: ignore[no-untyped-call]
+
+
+def loaded(code: bytes, context: Any) -> Any:
+    """The result whose machine code was :func:`dumped`."""
+    return CompileResult._rebuild(context, *pickle.loads(code))  # type: ignore[no-untyped-call]
+
+
+def target_of(context: Any) -> tuple[str, str, str]:
+    """The triple, CPU and features that code is compiled for."""
+    context.refresh()
+    return cast("tuple[str, str, str]", context.codegen().magic_tuple())
+
+
+# -- what is left without FASTER --------------------------------------------------------------------------------------
+
+
+@cache
+def _uncut(kind: Any) -> Any:
+    """A class of numba's functions whose compiling is not interrupted, which would leave tables half written."""
+
+    class Uncut(kind):  # type: ignore[misc]
+        def compile(self, signature: Any) -> Any:
+            """Compile, unless it is compiled for this signature."""
+            with uninterrupted():
+                return super().compile(signature)
+
+    return Uncut
+
+
+def jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
+    """Numba's object that compiles a function when it is first called.
+
+    Without the runtime that counts references to arrays: nothing compiled here makes an array, and counting took two
+    thirds of a step. And without entry points from Python for ``inner`` functions, which only compiled code calls: they
+    take a third of the time to compile.
+    """
+    pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
+    options: dict[str, Any] = {
+        "no_cpython_wrapper": inner, "no_cfunc_wrapper": inner, "forceinline": inline, "pipeline_class": pipeline,
+    }  # fmt: skip
+    model = "python" if checked else "numpy"
+    dispatcher = cast(Any, njit)(
+        nogil=True, error_model=model, boundscheck=checked, _nrt=False, **({} if LACKING else options)
+    )(twin)
+    dispatcher.__class__ = _uncut(cast(Any, type(dispatcher)))
+    return dispatcher
+
+
+def set_cache(dispatcher: Any, cached: Any) -> None:
+    """Let numba load from this cache before it compiles; njit(cache=True) would set numba's own."""
+    dispatcher._cache = cached
+
+
+def compiled_at(dispatcher: Any, arguments: Any) -> Any:
+    """The result of compiling for these types of arguments, or this signature."""
+    dispatcher.compile(arguments)
+    return dispatcher.overloads[getattr(arguments, "args", arguments)]
+
+
+def address_in(result: Any) -> int:
+    """The address of the machine code of a result, valid as long as its dispatcher lives."""
+    return cast(int, result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+def return_type(dispatcher: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """Numba's type of what a function returns for arguments of these types, and its defaults."""
+    bound = inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
+    kinds = list[Any]()
+    for name, parameter in bound.signature.parameters.items():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            kinds.append(cast(Any, types.StarArgTuple)(bound.arguments.get(name, ())))
+        else:
+            kinds.append(bound.arguments.get(name) or cast(Any, types.Omitted)(parameter.default))
+    return compiled_at(dispatcher, tuple(kinds)).signature.return_type
+
+
+def stored_at(examples: Callable[[], list[Any]]) -> Any:
+    """A compiled function that stores a value, of the type of one of the examples, at an address, and returns it."""
+
+    @intrinsic
+    def store(typing: Any, address: Any, value: Any) -> Any:
+        if value not in map(cast(Any, typeof), examples()):
+            raise numba.TypingError(
+                f"packed: {value} is of no type that is unpacked"
+            )  # it would be read as something else
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            builder.store(values[1], builder.inttoptr(values[0], values[1].type.as_pointer()))
+            return builder.bitcast(values[0], context.get_value_type(types.int64))
+
+        return types.int64(address, value), generate
+
+    return store
+
+
+def loaded_from(kind: Any) -> Any:
+    """A compiled function that returns the value of this type at an address, or the function there, if it is one's."""
+
+    @intrinsic
+    def load(typing: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+            if not isinstance(kind, types.FunctionType):
+                return builder.load(builder.inttoptr(values[0], context.get_value_type(kind).as_pointer()))
+            called = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
+            # Numba's own way to call, in which errors come back. Its other two addresses stay 0.
+            called.jit_addr = builder.inttoptr(values[0], context.get_value_type(types.voidptr))
+            return called._getvalue()
+
+        return kind(types.int64), generate
+
+    return load

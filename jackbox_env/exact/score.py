@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.compiler import called_at, fixed_tuple, packed, unpacked_as
+from jackbox_env.exact.compiler import called_at, packed, unpacked_as
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import (
     APPLIED,
@@ -36,7 +36,7 @@ from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total
 from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State
 
-block_observer = called_at("i8(f8[:, ::1], f8[:, ::1], i8, f8[:, ::1], i8, f4[:, ::1])")
+block_observer = called_at(lambda t: t.i8(t.f8[:, ::1], t.f8[:, ::1], t.i8, t.f8[:, ::1], t.i8, t.f4[:, ::1]))
 LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation
 
 
@@ -160,7 +160,7 @@ def observe_one(values: Array, state: Array, time: float, observation: Floats) -
     return observe(make_numbers(values), state, time, observation)
 
 
-block_actor = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8, f8)")
+block_actor = called_at(lambda t: t.i8(t.f8[:, ::1], t.f8[:, ::1], t.f8[:, ::1], t.f8[:, ::1], t.i8, t.i8, t.f8))
 
 
 def action_torque(scene: SceneNumbers, state: State, action: Any, time: float, dt: float) -> float:
@@ -184,13 +184,12 @@ def choice_in(controls: Array, number: int) -> int:
 
 
 @cache
-def tuple_in(size: int) -> Callable[[Array, int], tuple[float, ...]]:
-    """A reader of actions of ``size`` numbers."""
-
-    def numbers_in(controls: Array, number: int) -> tuple[float, ...]:
-        return fixed_tuple(controls[:, number], size)
-
-    return numbers_in
+def tuple_in(size: int, first: int = 0) -> Callable[[Array, int], tuple[float, ...]]:
+    """A reader of ``size`` numbers of an action, from ``first`` on."""
+    if size == 1:
+        return lambda controls, number: (controls[first, number],)
+    low, high = tuple_in(size // 2, first), tuple_in(size - size // 2, first + size // 2)
+    return lambda controls, number: low(controls, number) + high(controls, number)
 
 
 def act_block(values: Array, before: Array, scratch: Array, controls: Array, first: int, size: int, dt: float) -> int:
@@ -223,9 +222,13 @@ def act_one(values: Array, state: Array, controls: Array, time: float, dt: float
     return 1.0 * action_torque(make_numbers(values), state_in(state), action_in(controls, 0), time, dt)
 
 
-block_scorer = called_at("i8(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, i8, i8, f8[::1], b1[::1], f8[:, ::1])")
-row_scorer = called_at("b1(f8[::1], f8[::1], f8, f8, f8[::1])")
-row_observer = called_at("b1(f8[::1], f8[::1], f8, f4[::1])")
+block_scorer = called_at(
+    lambda t: t.i8(
+        t.f8[:, ::1], t.f8[:, ::1], t.f8[:, ::1], t.f8[::1], t.i8, t.i8, t.i8, t.f8[::1], t.b1[::1], t.f8[:, ::1]
+    )
+)  # fmt: skip
+row_scorer = called_at(lambda t: t.b1(t.f8[::1], t.f8[::1], t.f8, t.f8, t.f8[::1]))
+row_observer = called_at(lambda t: t.b1(t.f8[::1], t.f8[::1], t.f8, t.f4[::1]))
 # Columns of a report: torque and reward's terms, impacts and their impulse, summed over the steps of a decision.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 
@@ -278,7 +281,7 @@ judged_at = unpacked_as(example)
 
 def pack_judged(memory: Array, values: Array, terms: Array, observer: Any, scorer: Any) -> Any:
     """Store the arguments of :func:`judge` in ``memory``; return the address there."""
-    return packed(memory, JudgedScene(values, terms, observer, scorer))
+    return packed(memory.ctypes.data, JudgedScene(values, terms, observer, scorer))
 
 
 def judge(address: Any, state: Array, time: float, torque: float, impulse: float, observation: Floats) -> int:
@@ -302,7 +305,7 @@ def judge(address: Any, state: Array, time: float, torque: float, impulse: float
     return 1 if over else 0
 
 
-one_row: Any = called_at("UniTuple(i8, 5)(i8, i8, i8, i8)")
+one_row: Any = called_at(lambda t: t.UniTuple(t.i8, 5)(t.i8, t.i8, t.i8, t.i8))
 
 
 def step_and_judge(run: Any, address: Any, judged: Any, observation: Floats) -> tuple[int, int, int]:

@@ -302,7 +302,7 @@ def pack(
 ) -> Any:  # fmt: skip
     """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
     return packed(
-        memory,
+        memory.ctypes.data,
         Arguments(
             Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
             Rules(
@@ -327,7 +327,7 @@ def pack_again(
     call = arguments_at(address)
     rest = call.results
     return packed(
-        memory,
+        memory.ctypes.data,
         Arguments(
             call.scenes, call.rules, before, after, controls,
             Results(

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import os
 import pickle
 import signal
@@ -26,7 +27,9 @@ from jackbox_env.envs import vector
 from jackbox_env.envs.batches import exact
 from jackbox_env.envs.batches import threads as batch_threads
 from jackbox_env.exact import compiler, run, workspace
+from jackbox_env.exact.geometry import cos_sin
 from jackbox_env.exact.workspace import Status
+from tests.guarantees import interrupting_compiler
 from tests.states import lying
 
 INTERRUPTS = int(os.environ.get("JACKBOX_INTERRUPTS", "500"))
@@ -179,6 +182,51 @@ def test_interrupts_at_random_moments_neither_hang_nor_raise_other_errors(name: 
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
     assert int(ran.stdout.split()[0]) >= INTERRUPTS, ran.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_interrupts_at_random_moments_of_compiling_leave_nothing_broken(tmp_path: Path) -> None:
+    expected, interrupts = interrupting_compiler.steps(), 0
+    for seed in itertools.count():
+        command = [sys.executable, "-m", "tests.guarantees.interrupting_compiler", str(seed)]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / str(seed))}
+        ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, f"seed {seed}: {ran.stderr}"
+        count, digest = ran.stdout.split()
+        assert digest == expected, seed
+        interrupts += int(count)
+        if interrupts >= 100:
+            break
+
+
+class Interrupt:
+    """Interrupts this process when a module is imported, once."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        sys.meta_path.insert(0, self)
+
+    def find_spec(self, name: str, *_: Any) -> None:
+        """Find nothing."""
+        if name == self._name:
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+
+
+def compile_twice(name: str) -> None:
+    """Print what compiled code returns after an interrupt at the import of a module of numba."""
+    Interrupt(name)
+    with pytest.raises(KeyboardInterrupt):
+        compiler.compiled(cos_sin)(0.3)
+    print(compiler.compiled(cos_sin)(0.3) == cos_sin(0.3))
+
+
+@pytest.mark.parametrize("name", ["numba.core.dispatcher", "numba.np.linalg"])
+def test_an_interrupt_while_numba_is_imported_leaves_nothing_broken(name: str) -> None:
+    code = f"from tests.guarantees.test_interruptions import compile_twice; compile_twice({name!r})"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ran.stdout, ran.stderr) == ("True\n", "")
 
 
 def test_threads_end_with_their_batch_and_wait_in_copies_for_none() -> None:
