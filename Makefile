@@ -118,7 +118,7 @@ roundings-quick: roundings
 kills: .venv/ready
 	@JACKBOX_KILLS=200 $(PYTEST) tests/guarantees/test_kills.py
 
-# Steps and rollouts on two threads interrupted 100,000 times by each of two signals; some minutes.
+# Steps and rollouts on two threads interrupted 100,000 times by each of two signals, and compiling 100 times; half an hour.
 interrupts: .venv/ready
 	@JACKBOX_INTERRUPTS=100000 $(PYTEST) tests/guarantees/test_interruptions.py -k random_moments
 

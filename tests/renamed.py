@@ -81,4 +81,5 @@ if __name__ == "__main__":
             print(judged())
         except RuntimeError as error:
             print(error)
-    print(*[one.message for one in warned], sep="\n")
+    for one in warned:
+        print(one.message)
