@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from tests.browser import browser  # noqa: F401  # a fixture
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
 OPTIONAL = {"flint", "imageio", "jsonschema", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
 OPTIONAL |= {"torch", "tqdm", "tyro"}
+COMPILING = "jackbox/compiling"  # key in pytest's cache of the processor time [s] of compiling
 
 
 class Module(pytest.Module):
@@ -47,9 +49,25 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     return Module.from_parent(parent, path=module_path)
 
 
+def processor_seconds() -> float:
+    """Processor time [s] of this process and of those it started that have ended."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Print the processor time of a run of several workers, and relative to compiling: machines differ."""
+    seconds, compiling = processor_seconds(), config.cache.get(COMPILING, 0.0) if config.cache else 0.0
+    if compiling and config.getoption("numprocesses", None):
+        line = f"{seconds:.0f} s of processor time, {seconds / compiling:.0f} times what compiling the exact model took"
+        terminalreporter.write_line(f"{line} ({compiling:.1f} s)")
+
+
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_setupnodes() -> None:
-    """Compile the code that is cached on disk, once, before the workers start."""
+def pytest_xdist_setupnodes(config: pytest.Config) -> None:
+    """Compile the code that is cached on disk, once, before the workers start, and store how long it took."""
+    before = processor_seconds()
     jackbox_env.make_simulator(contact="exact").step(0.02)
     envs = gym.make_vec("JackInBox-v0", num_envs=2, vectorization_mode="vector_entry_point", contact="exact")
     envs.reset(seed=0)
@@ -60,6 +78,9 @@ def pytest_xdist_setupnodes() -> None:
     env.close()
     jackbox_env.rollout(None, np.zeros(12), np.zeros((2, 3)), 0.02)
     jackbox_env.simulate(duration=0.1)(0.05)
+    spent = processor_seconds() - before
+    if config.cache and spent > 0.5 * config.cache.get(COMPILING, 6.0):  # else it was on disk
+        config.cache.set(COMPILING, spent)
     with contextlib.suppress(ImportError):  # of the agents' libraries
         from scripts.site.build import ensure_page
 

@@ -213,7 +213,7 @@ class UsersFunctions(_Compilation):
         native = _native()
         types, arguments = native.types, tuple(map(native.typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
         with _LOCK, uninterrupted():
-            returned = native.return_type(self.compiled(function, inner=True), function, arguments)
+            returned = native.return_type(self.compiled(function, inner=True), arguments)
         many = returned if isinstance(returned, types.UniTuple) else types.UniTuple(returned, 1)
         if not isinstance(many.dtype, types.Number | types.Boolean) or many.dtype in types.complex_domain:
             return None, str(returned)

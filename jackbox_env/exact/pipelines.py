@@ -286,9 +286,9 @@ def address_in(result: Any) -> int:
     return cast(int, result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
 
 
-def return_type(dispatcher: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def return_type(dispatcher: Any, arguments: tuple[Any, ...]) -> Any:
     """Numba's type of what a function returns for arguments of these types, and its defaults."""
-    bound = inspect.signature(function).bind(*arguments)  # its error is shorter than numba's
+    bound = inspect.signature(dispatcher.py_func).bind(*arguments)  # its error is shorter than numba's
     kinds = list[Any]()
     for name, parameter in bound.signature.parameters.items():
         if parameter.kind is parameter.VAR_POSITIONAL:
