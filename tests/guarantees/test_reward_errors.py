@@ -83,10 +83,10 @@ READS: dict[str, Any] = {
 
 @pytest.mark.parametrize("read", READS)
 def test_an_index_counts_from_either_end_and_past_it_is_an_error(read: str) -> None:
-    look = READS[read]
-    plain = getattr(look, "py_func", look)
+    number_at = READS[read]
+    plain = getattr(number_at, "py_func", number_at)
     env = JackInBoxEnv(
-        contact="exact", task=Task(("read",), lambda scene, state, torque, impulse: 1.0 * look(round(torque)))
+        contact="exact", task=Task(("read",), lambda scene, state, torque, impulse: 1.0 * number_at(round(torque)))
     )
     env.reset(seed=0)
     wrong = 0
