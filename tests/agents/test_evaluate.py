@@ -10,18 +10,14 @@ from typing import Any
 import pytest
 
 from agents import user_code
-from agents.evaluation import returns as evaluation
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
 from agents.policies.models import ENV_KEYWORDS
-from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.settings import PER_POLICY, EnvSettings
-from agents.training import ppo as training
 from agents.training.models import derived_seed
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from jackbox_env.simulators.fidelity import KEYWORDS
-from tests.agents.small_run import TINY
 from tests.agents.test_commands import script
 from tests.agents.test_sweep import MINE
 from tests.commands.test_samples import data_of
@@ -44,7 +40,6 @@ def test_it_writes_an_episode_of_each_policy_as_a_page_of_the_scene_that_was_dra
     assert data["held"]
     assert data["halfWidth"] == scene.box_half_width != 6.0
     assert {"task": "spin", "gravity": f"{scene.gravity:g} m/s\u00b2"}.items() <= dict(data["facts"]).items()
-    assert "never overwritten" in script("evaluate", *arguments, cwd=tmp_path, status=2).stderr
 
 
 def test_names_of_pages_are_distinct() -> None:
@@ -65,35 +60,6 @@ def test_an_error_leaves_no_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     )
     assert done.stderr.splitlines()[-1].endswith("pages/level.html cannot be used: No space left on device")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--policy"], "policy must name at least one"),
-        (["--html", "--folder", "/dev/null/pages"], "/dev/null cannot be used: Not a directory"),
-        (["--folder", "pages"], "folder goes with --html"),
-        (["--film", "/proc/film.GIF"], "/proc cannot be used: "),
-        (["--film-episodes", "4"], "film_episodes goes with --film"),
-        (["--json", "/proc/out.json"], "/proc cannot be used: "),
-        (["--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")], f"pass its folder, {SHIPPED / 'juggle-ppo'}"),
-        (["--policy", "/dev/null"], "/dev/null"),
-    ],
-)
-def test_it_refuses_before_it_computes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], named: str
-) -> None:
-    monkeypatch.setattr(evaluation, "evaluate", None)  # it is not reached
-    done = script("evaluate", *arguments, cwd=tmp_path, status=2)
-    assert named in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_empty_file_is_no_model(tmp_path: Path) -> None:
-    (tmp_path / "empty.zip").touch()
-    done = script("evaluate", "--policy", "empty.zip", "--trust", cwd=tmp_path, status=2)
-    assert done.stderr.startswith("empty.zip is no model of Stable-Baselines3: ")
 
 
 # A value of each keyword of the environment, and for those that change what a return means, how it is printed.
@@ -235,42 +201,3 @@ def test_files_of_one_name_have_different_neighbours_and_dataclasses_work(tmp_pa
     names = [f"{tmp_path}/{folder}/mine.py:Number" for folder in ("a", "b")]
     user_code.load(names)
     assert [user_code.loaded(name)().value for name in names] == [1.0, 2.0]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["train", "--action", "bad.py:endless"], "PPO needs an action within finite bounds"),
-        (["train", "--task", "bad.py"], "task must be one of 'juggle', 'spin', 'rattle', 'file.py:name', got"),
-        (["train", "--task", "bad.py:shape"], "(12,)"),
-        (
-            ["evaluate", "--policy", "bad.py:number"],
-            "a function of observations, got bad.py:number, 3",
-        ),
-        (["sweep", "--task", "bad:fine", "--policy", "level"], "so its objects must be file.py:name, got bad:fine"),
-    ],
-)
-def test_objects_that_cannot_be_used_are_refused_before_there_is_a_folder(
-    tmp_path: Path, arguments: list[str], named: str
-) -> None:
-    (tmp_path / "bad.py").write_text(
-        "import gymnasium, numpy as np\nfrom jackbox_env import Action, Task\nnumber = 3\n"
-        "line = gymnasium.spaces.Box(-np.inf, np.inf, (1,))\n"
-        "endless = Action(line, lambda scene, state, action, time, dt: action[0])\n"
-        "fine = Task(('a',), lambda scene, state, torque, impulse: 0.0)\n"
-        "shape = Task(('a',), lambda scene, state, torque, impulse: 0.0, start=lambda scene, rng: np.zeros(3))\n"
-    )
-    done = script(*arguments, *["--folder", "new"] * (arguments[0] != "evaluate"), cwd=tmp_path, status=2)
-    assert named in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} <= {"bad.py", "__pycache__"}
-
-
-def test_an_exported_policy_is_not_trained_over(tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(SHIPPED / "juggle-ppo", copy)
-    before = {path.name: path.read_bytes() for path in copy.iterdir()}
-    done = script("train", "--resume", "copy", cwd=tmp_path, status=2)
-    assert "copy is no training run: it has no run.json" in done.stderr
-    with pytest.raises(FileExistsError, match="copy is an exported policy"):
-        training.train(TINY, copy, progress=False)
-    assert {path.name: path.read_bytes() for path in copy.iterdir()} == before

@@ -19,7 +19,6 @@ from agents.policies.registry import SCRIPTED, find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import make_ppo, make_vec_env
-from jackbox_env.recording.film import check_film
 from scripts import train as train_command
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
@@ -188,13 +187,3 @@ def test_a_film_of_several_episodes_has_a_tile_for_each_and_their_mean_return(tm
     drawn = [tile.std() > 10.0 for tile in tiles]
     assert drawn == [True, True, True, False]  # two rows of two
     assert all(np.abs(one - other).mean() > 1.0 for one, other in itertools.combinations(tiles[:3], 2))
-
-
-@pytest.mark.parametrize(
-    ("name", "error"),
-    [("film.avi", ValueError), ("nowhere/film.gif", FileNotFoundError), ("there.gif", FileExistsError)],
-)
-def test_a_film_is_refused_before_anything_is_computed(name: str, error: type[Exception], tmp_path: Path) -> None:
-    (tmp_path / "there.gif").touch()
-    with pytest.raises(error, match=name.split("/")[0]):
-        check_film(tmp_path / name)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.files import LOCK, DamagedFileError, FolderInUseError, locked, read_json
+from agents.files import LOCK, FolderInUseError, locked, read_json
 from jackbox_env.tools.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
@@ -85,15 +85,8 @@ def test_partial_files_of_killed_processes_are_removed_and_nothing_else(tmp_path
     assert {path.name for path in tmp_path.iterdir()} == others
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[" * 100_000])
-def test_damaged_json_is_named(content: bytes, tmp_path: Path) -> None:
+def test_json_is_written_and_read(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    path.write_bytes(content)
-    with pytest.raises(DamagedFileError) as refused:
-        read_json(path)
-    assert str(refused.value).startswith(f"{path} is damaged (")
-    assert len(str(refused.value)) < 300
-    assert "\n" not in str(refused.value)
     write_json(path, {"a": [1.5, None]})
     assert read_json(path) == json.loads(path.read_text()) == {"a": [1.5, None]}
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from typing import Any
 
 import gymnasium as gym
@@ -12,11 +10,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from jackbox_env import (
-    JackInBoxEnv,
     JackInBoxVectorEnv,
     Scene,
     Task,
-    TaskError,
     rollout,
 )
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -102,31 +98,6 @@ def test_the_reward_of_an_episode_that_waits_is_not_evaluated(several: bool, con
 # -- actions that are repeated ----------------------------------------------------------------------------------------
 
 
-@EVERY_MODEL
-def test_a_repeated_step_that_fails_has_not_happened(contact: str) -> None:
-    def root(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-        return (math.nan if state[10] < -5.0 and state[3] > 0.0 else 1.0,)
-
-    def fast(scene: Any, state: Any, torque: float, impulse: float) -> bool:
-        return bool(state[10] < -4.9)
-
-    task = Task(("root",), root, fast)
-    batch = JackInBoxVectorEnv(2, contact=contact, task=task, autoreset_mode="SAME_STEP", action_repeat=8)
-    starts = np.zeros((2, 12))
-    starts[:, 3] = 0.5, -0.5
-    starts[0, 10] = 0.1
-    batch.reset(options={"state": starts})
-    for _ in range(3):
-        batch.step(None)
-    before, times = batch.states, batch.times
-    for _ in range(2):
-        with pytest.raises(TaskError, match="'root' is nan, in environment 0"):
-            batch.step(None)  # 1 ends in the first of these steps
-        assert_same((batch.states, batch.times), (before, times))
-    batch.set_states(starts, 0.0)
-    assert not batch.step(None)[2].any()
-
-
 # -- rollouts ---------------------------------------------------------------------------------------------------------
 
 
@@ -147,49 +118,3 @@ def test_rollouts_earn_nothing_after_the_end() -> None:
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize(
-    ("bad", "sentence"),
-    [
-        ((math.nan, 1.0), "'one' is nan"),
-        ((1.0, math.inf), "'two' is inf"),
-        ((1e308, 1e308), "'one' is 1e+308, 'two' is 1e+308"),
-    ],
-)
-def test_a_reward_that_is_no_number_names_its_term(bad: tuple[float, float], sentence: str, contact: str) -> None:
-    task = Task(("one", "two"), lambda scene, state, torque, impulse: bad if impulse > 0.0 else (0.0, 0.0))
-    env, batch = JackInBoxEnv(contact=contact, task=task), JackInBoxVectorEnv(1, contact=contact, task=task)
-    start = np.zeros(12)
-    start[[4, 10]] = -4.99, -5.0  # a foot strikes in the first step
-    env.reset(options={"state": start})
-    batch.reset(options={"state": start})
-    with pytest.raises(TaskError, match=re.escape(sentence) + "$"):
-        env.step(0.0)
-    with pytest.raises(TaskError, match=re.escape(sentence) + ", in environment 0$"):
-        batch.step(np.zeros(1))
-    assert_same((env.state, batch.states), (start, start[None]))
-    if contact == "exact":
-        with pytest.raises(TaskError, match=re.escape(sentence) + r", in step 0 of states\[1\]"):
-            rollout(None, [np.zeros(12), start], np.zeros(9), 0.02, rewards=task)
-
-
-@EVERY_MODEL
-def test_starts_and_ends_that_are_none_are_refused(contact: str) -> None:
-    def nothing(scene: Any, state: Any, torque: float, impulse: float) -> Any:
-        return 1.0
-
-    with pytest.raises(TypeError, match="True or False"):
-        JackInBoxEnv(contact=contact, task=Task(("height", "effort"), terms, nothing))
-    outside = np.zeros(12)
-    outside[3] = 9.0
-    for state, said in ((outside, "foot"), ([1.0], "12"), ("here", "numbers")):
-        task = Task(("height", "effort"), terms, None, lambda scene, rng, state=state: state)
-        env: Any
-        for env in (JackInBoxEnv(contact=contact, task=task), JackInBoxVectorEnv(2, contact=contact, task=task)):
-            inside = above(Scene(), np.random.default_rng(0))
-            env.reset(seed=3, options={"state": inside})
-            with pytest.raises((TypeError, ValueError), match=f"the task's start has drawn what is none: .*{said}"):
-                env.reset(seed=4)
-            assert_same(env.states[0] if hasattr(env, "states") else env.state, inside)

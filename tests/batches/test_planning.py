@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jackbox_env import Rollout, Scene, Task, TaskError, rollout
+from jackbox_env import Rollout, Scene, rollout
 from jackbox_env.mechanics import energy
 from tests.batches.several import SCENES, assert_same
 from tests.states import inside
@@ -47,20 +46,3 @@ def test_a_rollout_without_steps_has_the_energies_of_the_first_states() -> None:
     for steps in (0, 1):
         rollouts: Any = rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
         np.testing.assert_array_equal(rollouts.energy[:, 0], [energy(Scene(), state)] * 3)
-
-
-@pytest.mark.parametrize(
-    ("paid", "error"),
-    [
-        (lambda scene, state, torque, impulse: (1.0 if state.y_jack > -0.5 else math.nan,), TaskError),
-        (lambda scene, state, torque, impulse: (1.0 / max(state.y_jack + 0.5, 0.0),), ZeroDivisionError),
-    ],
-)
-def test_a_rollout_raises_the_same_error_however_many_threads_play_it(paid: Any, error: type[Exception]) -> None:
-    states, messages = np.zeros((100, 12)), set[str]()
-    states[:, 10] = np.linspace(3.0, 0.0, 100)
-    for num_threads in (1, 2, 3):
-        with pytest.raises(error) as raised:
-            rollout({}, states, np.zeros(80), 0.02, rewards=Task(("paid",), paid), num_threads=num_threads)
-        messages.add(str(raised.value))
-    assert len(messages) == 1

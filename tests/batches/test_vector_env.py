@@ -29,18 +29,6 @@ def test_the_same_arguments_mean_the_same_physics() -> None:
     assert isinstance(gym.make_vec("JackInBox-v0", num_envs=2).unwrapped, JackInBoxVectorEnv)
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_a_missing_info_names_the_argument_that_has_it(mode: AutoresetMode) -> None:
-    env = JackInBoxVectorEnv(2, contact="exact", max_episode_steps=2, autoreset_mode=mode)
-    for infos in (env.reset(seed=0)[1], env.step(None)[4], env.step(None)[4]):
-        for name in ("impacts", "_state", "reward_centre"):
-            with pytest.raises(KeyError, match=f"infos have '{name}' only in environments made with with_infos=True"):
-                infos[name]
-        assert infos.get("impacts") is None
-        with pytest.raises(KeyError, match="^'steps'$"):
-            infos["steps"]
-
-
 def arrays_in(handed: Any) -> list[Any]:
     """All arrays in a returned value, those in dicts and in arrays of arrays too."""
     if isinstance(handed, np.ndarray) and handed.dtype != object:
@@ -80,16 +68,6 @@ def test_returned_and_passed_arrays_belong_to_the_caller(contact: str, mode: Aut
 
 
 # -- episodes, restarts, restored states -------------------------------------------------------------------------------
-
-
-@EVERY_MODEL
-def test_without_autoreset_episodes_that_are_over_are_not_stepped(contact: str) -> None:
-    env = JackInBoxVectorEnv(2, contact=contact, max_episode_steps=1, autoreset_mode=AutoresetMode.DISABLED)
-    env.reset(seed=0)
-    env.step(None)
-    env.reset(options={"reset_mask": np.array([False, True])})
-    with pytest.raises(RuntimeError, match="autoreset_mode DISABLED.* 1 of 2 are over"):
-        env.step(None)
 
 
 @EVERY_MODEL
@@ -158,16 +136,3 @@ def test_long_work_that_pauses_comes_to_the_same(patience: float, monkeypatch: p
     monkeypatch.setattr(rollouts, "PATIENCE", patience)
     monkeypatch.setattr(rollouts, "_ROOM", 1)
     assert_same(run(), straight)
-
-
-def test_after_a_refused_step_impacts_are_those_of_the_last_one() -> None:
-    env = JackInBoxVectorEnv(300, contact="exact")
-    env.reset(seed=0, options={"state": [0.0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0]})
-    env.step(np.ones(300))
-    before = [env.impacts(number) for number in (0, 299)]
-    assert all(before)
-    actions = np.full(300, np.nan)
-    actions[:290] = 1.0
-    with pytest.raises(ValueError, match="290"):
-        env.step(actions)
-    assert [env.impacts(number) for number in (0, 299)] == before

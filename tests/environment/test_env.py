@@ -147,3 +147,9 @@ def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_has_the_same_inf
     assert ends == [(False, False)] * 499 + [(False, True)]
     assert set(later) == set(info)
     assert not np.shares_memory(info["state"], later["state"])
+
+
+def test_set_state_is_enough_before_the_first_step() -> None:
+    env = JackInBoxEnv()
+    env.set_state(env.state)
+    assert env.step(0.0)[4]["time"] == 0.02

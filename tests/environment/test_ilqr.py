@@ -78,17 +78,3 @@ def test_where_gains_overflow_or_a_changed_plan_loses_the_jack_no_error_is_raise
 
 def constant(states: Array) -> Any:
     return np.ones(len(states)), np.zeros((len(states), 12)), np.zeros((len(states), 12, 12))
-
-
-@pytest.mark.parametrize(
-    ("returned", "error", "sentence"),
-    [
-        (1.0, TypeError, "cost must return costs, slopes and curvatures, got 1.0"),
-        (("a", 1.0, 1.0), TypeError, "cost's costs must be numbers, got 'a'"),
-        ((np.zeros(4), np.zeros(4), np.zeros(4)), ValueError, r"cost's costs must .* shape \(2,\), got .* of \(4,\)"),
-        ((np.full(2, math.nan), np.zeros((2, 12)), np.zeros((2, 12, 12))), ValueError, "cost's costs must be finite"),
-    ],
-)
-def test_unusable_costs_are_refused(returned: Any, error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
-        ilqr(None, START, [0.0], 0.02, cost=lambda states: returned, repeat=2)

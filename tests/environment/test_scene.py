@@ -43,10 +43,8 @@ def test_numbers_become_python_floats_and_inertias_follow_unless_set() -> None:
     assert Scene(jack_arm=8.48).jack_inertia == 4.0 * (8.48 * 8.48)  # fits only at some angles
 
 
-def test_scenes_are_frozen_equal_by_value_picklable_and_come_from_dicts() -> None:
+def test_scenes_are_equal_by_value_picklable_and_come_from_dicts() -> None:
     scene = Scene(gravity=1.62, drive=Chirp(rate=0.0))
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scene.gravity = 1.0  # type: ignore[misc]
     assert scene == Scene.of({"gravity": 1.62, "drive": {"rate": 0.0}}) == pickle.loads(pickle.dumps(scene))
     assert hash(scene) == hash(Scene.of(dataclasses.asdict(scene)))
     assert Scene.of(None) == Scene() != scene
@@ -97,12 +95,6 @@ def test_the_chirps_means_under_triangles(chirp: Chirp, time: float, duration: f
     means = chirp.torque_means(time, duration)
     tolerance = 2e-13 * abs(chirp.amplitude)  # late times too, where the interval's middle is rounded
     np.testing.assert_allclose(means, [float(falling), float(rising)], rtol=0.0, atol=tolerance)
-
-
-def test_a_chirp_too_fast_to_follow_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"the chirp turns 9e\+05 times in the 1 s after t = 1e\+06 s, at most 83333"):
-        Chirp().torque_means(1e6, 1.0)
-    Chirp().torque_means(1e6, 1e-4)
 
 
 def test_drive_means_are_exact_for_polynomials() -> None:

@@ -172,8 +172,6 @@ def test_a_limit_of_none_is_the_registered_one_and_of_minus_one_there_is_none() 
             ended = (step for step in range(1, 502) if np.any(env.step([0.0])[3]))
             lengths.append(next(ended, None))
         assert lengths == [steps] * 3
-    with pytest.raises(ValueError, match=r"-1: no limit\) must be a whole number from 1 to .*, got 0"):
-        sb3.make_sb3_vec_env(1, max_episode_steps=0)
 
 
 def test_single_environments_of_stable_baselines_have_a_spec_that_makes_each_again() -> None:

@@ -31,15 +31,6 @@ def test_functions_drive_as_the_chirp_does(chirp: Chirp, gravity: float, dt: flo
     np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=error)
 
 
-def test_a_drive_of_noise_is_refused() -> None:
-    rng = np.random.default_rng(0)
-    run = simulator(Scene(drive=Drive(torque=lambda t: rng.uniform(-1.0, 1.0))), np.zeros(12))
-    before = run.state
-    with pytest.raises(ValueError, match="drive must be smooth but for some jumps: over the 0.02 s after t = 0 s"):
-        run.step(0.02)
-    np.testing.assert_array_equal(run.state, before)
-
-
 def test_a_held_torque_replaces_a_function_as_if_there_were_none(monkeypatch: pytest.MonkeyPatch) -> None:
     # Without side forces there is nothing to interpolate: the bits are those of a scene without drive.
     function, none = Scene(drive=Drive(torque=lambda t: 1e4 * math.sin(t))), Scene(drive=None)

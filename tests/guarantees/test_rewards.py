@@ -97,17 +97,6 @@ def test_a_task_sees_the_same_numbers_everywhere(reading: str) -> None:
     assert knocks > 0
 
 
-@EVERY_MODEL
-def test_a_task_can_change_no_number(contact: str) -> None:
-    def pushing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
-        state[10] = 50.0
-        return (1.0,)
-
-    for make in (*MAKERS, lambda contact, task: jackbox_env.rollout(None, np.zeros(12), [0.0], 0.02, rewards=task)):
-        with pytest.raises(TypeError):
-            make(contact=contact, task=Task(("push",), pushing))
-
-
 @pytest.mark.parametrize("name", TASKS)
 def test_every_task_pays_the_same_compiled(name: str) -> None:
     rng, scene = np.random.default_rng(0), Scene(gravity=3.0, jack_mass=2.0)

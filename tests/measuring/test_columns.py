@@ -156,30 +156,3 @@ def test_masked_values_were_not_observed() -> None:
     seen = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
     recording = Recording.from_frame({"time": [0.0, 0.1, 0.2], "x_jack": seen}, STILL)
     np.testing.assert_array_equal(recording.states[:, 3], [1.0, math.nan, 3.0])
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"columns": [1.0]}, r"columns must be a dict of columns or a DataFrame, got \[1.0\]"),
-        ({"columns": {"time": [0.0, 1.0], "x_jack": [1.0]}}, "same number of rows, got time 2, x_jack 1"),
-        ({"columns": {"time": ["a", "b"]}}, "column 'time' must be numbers, got \\['a', 'b'\\]"),
-        ({"columns": {"time": [0.0, "b"]}}, "column 'time' must be numbers, got \\[0.0, 'b'\\]"),
-        ({"columns": {"time": [[0.0]]}}, "column 'time' must be numbers"),
-        ({"columns": {"time": [0.0], "x_jack": np.array(["2026-01-01"], "M8[s]")}}, "column 'x_jack' must be numbers"),
-        ({"columns": {"time": [0.0, math.inf]}}, "must be finite numbers or NaN, got inf in row 1"),
-        ({"columns": {"x_jack": [0.0, 1.0]}}, r"there must be a column time \[s\]"),
-        ({"columns": {"time": [0.0, 0.1], "ball": [0.0, 1.0]}}, r"column 'ball' must be one of time \[s\], x_box"),
-        ({"columns": {"time": [0.0, None], "x_jack": [0.0, 1.0]}}, "row 1, column time: must be a number, got none"),
-        ({"columns": {"time": [0.0, 0.1], "x_jack": [None, None]}}, "must have an observed number"),
-        ({"names": {"x_jack": "ball"}}, "column 'ball', which is to be x_jack, must be one of 'time', 'x_jack'"),
-        ({"names": {"weight": "ball"}}, "names accepts only 'time', 'x_box'"),
-        ({"y_down": 1}, "y_down must be True or False, got 1"),
-        ({"scene": 3}, "scene must be a Scene"),
-        ({"impacts": [0.2, 0.1]}, "impacts must be times in order"),
-    ],
-)
-def test_unusable_columns_are_refused(change: dict[str, Any], sentence: str) -> None:
-    arguments = {"columns": {"time": [0.0, 0.1], "x_jack": [0.0, 1.0]}, **change}
-    with pytest.raises((TypeError, ValueError), match=sentence):
-        Recording.from_frame(**arguments)

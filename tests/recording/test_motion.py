@@ -205,11 +205,6 @@ def test_a_restart_goes_on_longer_and_restarts_again() -> None:
     np.testing.assert_array_equal(longer.impacts, whole.impacts[5:])
     np.testing.assert_array_equal(longer.restart(2).impacts, whole.impacts[8:])
     assert longer.work()[-1] == pytest.approx(whole.work(12.0) - whole.work(longer.t[0]), abs=1e-6)
-    held = simulate(torque=np.zeros(500))
-    with pytest.raises(ValueError, match="duration must be at most 8.9.* s, as long as there are torques"):
-        held.restart(0, 20.0)
-    with pytest.raises(ValueError, match=r"duration / dt must be at most 10,000,000 steps, got 1e\+09 / 0.02"):
-        whole.restart(3, 1e9)
     again = simulate(torque=0.0, duration=2.0, until=1).restart(0, 5.0)
     assert again.torques is not None
     assert again.torques.tolist() == [0.0] * 251
@@ -299,11 +294,6 @@ def test_a_failure_after_the_event_is_none(torque: Any) -> None:
             simulate(duration=2.0, torque=torque, until=late)
 
 
-def test_a_function_that_fails_at_once_is_raised() -> None:
-    with pytest.raises(ZeroDivisionError):
-        simulate(torque=lambda t: 1.0 / 0.0)
-
-
 def test_the_first_state_is_the_start_and_an_impact_there_is_in_the_motion() -> None:
     begun = simulate({"drive": None}, duration=2.0)
     start = begun.impacts["before"][0]
@@ -366,25 +356,7 @@ def test_with_pymunk_there_are_states_at_control_steps_only(fidelity: str) -> No
         np.testing.assert_array_equal(simulator.step(0.02).state, state)
     assert motion.energy().shape == (201,)
     assert motion.impacts["impulse"].min() > 0.0
-    for refused in (
-        lambda: motion(0.1),
-        lambda: motion.work(0.1),
-        lambda: motion.impacts["after"],
-        lambda: motion.impacts[0]["before"],
-        lambda: pickle.loads(pickle.dumps(motion)).impacts[1:][0]["after"],
-        lambda: motion.restart(0),
-    ):
-        with pytest.raises(ValueError, match="fidelity='exact'"):
-            refused()
-    with pytest.raises(ValueError, match="work is summed over the flights between impacts, and this motion has states"):
-        motion.work()
     assert motion.impacts[0]["impulse"] == motion.impacts["impulse"][0]
-
-
-def test_a_lost_jack_raises_and_what_came_before_is_not_lost() -> None:
-    fast = [0.0] * 11 + [1e9]
-    with pytest.raises(jackbox_env.JackLostError, match="gap evaluations|too fast"):
-        simulate(None, fast, 2.0)
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
@@ -409,13 +381,6 @@ def test_files_have_the_motion(tmp_path: Path, fidelity: str) -> None:
     if fidelity == "exact":
         after = [float(row["after omega_jack [rad/s]"]) for row in impacts]
         assert after == motion.impacts["after"][:, 11].tolist()
-    with pytest.raises(FileExistsError):
-        motion.save(npz)
-    with pytest.raises(ValueError, match="suffix of path must be one of '.npz', '.csv', '.mat', got '.xls'"):
-        motion.save(tmp_path / "run.xls")
-    for suffix in (".npz", ".csv", ".mat"):
-        with pytest.raises(FileNotFoundError, match=f"missing/run{suffix}'$"):
-            motion.save(tmp_path / "missing" / f"run{suffix}")
 
 
 def test_a_frame_has_names_without_units_and_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

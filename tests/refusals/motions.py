@@ -11,7 +11,8 @@ import numpy as np
 import jackbox_env
 from jackbox_env.simulators.fidelity import FIDELITIES
 from tests.refusals.kinds import array, choice, each, instance, out, real, whole, wrong
-from tests.refusals.table import DT, ONE_SCENE, START, Kinds, Row, Subject, state
+from tests.refusals.sentences import START, Subject
+from tests.refusals.table import DT, ONE_SCENE, Kinds, Row, state
 
 NUMBER = real(3.0, none=True)
 TORQUES = array([1.0, 2.0, 3.0, 4.0], scalar=True, none=True)

@@ -20,21 +20,13 @@ from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.model.tasks import SLOPES, TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.simulators import CONTACT_MODELS, Simulator
+from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.fidelity import FIDELITIES
 from tests.refusals.kinds import Argument, array, choice, each, flag, instance, mask, out, real, size, whole, wrong
+from tests.refusals.sentences import START, Subject, several, simulator, single
 
-START = np.array([0.125, 0.25, 0.5, 0.5, -0.375, 0.25, 0.125, 0.0, 0.25, 3.0, 1.0, 2.0])
 ROWS = np.stack([START, START + 0.125, START - 0.125])
 Kinds = dict[str, Argument]
-
-
-class Subject(NamedTuple):
-    """An object whose methods are called, its reset, and the values that show its state."""
-
-    make: Callable[[], Any]
-    start: Callable[[Any], object] = lambda _: None
-    shown: Callable[[Any], Any] = lambda _: None
 
 
 class Row(NamedTuple):
@@ -43,7 +35,7 @@ class Row(NamedTuple):
     name: str
     called: Callable[[Any], Callable[..., Any]]
     arguments: Kinds
-    subject: Subject = Subject(lambda: None)
+    subject: Subject = Subject()
     contact: str = ""
 
     def call(self, one: Any, **values: Any) -> Any:
@@ -159,32 +151,12 @@ OPTIONS = instance({}, "nothing", dict=out({"stat": 1.0}, "'stat'", "'state'", "
 # -- objects that go on ------------------------------------------------------------------------------------------------
 
 
-def start_simulator(one: Simulator) -> None:
-    one.reset(START, 1.0)
-    one.step(0.25, 1000.0)
-
-
-def simulator(contact: str) -> Subject:
-    make = partial(make_simulator, {"gravity": 1.5}, contact=contact)
-    return Subject(make, start_simulator, attrgetter("state", "time", "torque", "impacts"))
-
-
 def driven(contact: str, **returned: Any) -> Any:
     """A step under functions that return these values from the middle of the step on."""
     late = {name: lambda time, value=value: value if time > 0.013 else 1.0 for name, value in returned.items()}
     one = make_simulator(Scene(drive=Drive(**late)), contact=contact)
     one.step(0.02)
     return one.state
-
-
-def start_single(env: JackInBoxEnv) -> None:
-    env.reset(seed=4, options={"scene": {}})
-    env.set_state(START, 1.0)
-
-
-def start_several(env: JackInBoxVectorEnv) -> None:
-    env.reset(seed=4, options={"scene": {}})
-    env.set_states(START, 1.0)
 
 
 ACTION = array([0.25], none=True).but(scalar=out(np.array(math.nan), "nan"), square=out(np.zeros((1, 1)), "(1, 1)"))
@@ -219,17 +191,7 @@ FROM = "options.state"
 
 def methods_of(contact: str) -> Iterator[Row]:
     """The methods of everything that steps."""
-    one = simulator(contact)
-    single = Subject(
-        partial(JackInBoxEnv, contact=contact),
-        start_single,
-        attrgetter("state", "time", "np_random.bit_generator.state", "scene", "observation"),
-    )
-    several = Subject(
-        partial(JackInBoxVectorEnv, 3, contact=contact, with_infos=True),
-        start_several,
-        attrgetter("states", "times", "np_random_seed", "scenes"),
-    )
+    one, alone, batch = simulator(contact), single(contact=contact), several(contact=contact, with_infos=True)
     nouns: dict[str, dict[str, Any]] = {
         "landing": {"action": "landing", "observation": "landing", "action_repeat": "bounce"},
         "discrete": {"action": "discrete", "action_repeat": 3},
@@ -251,29 +213,27 @@ def methods_of(contact: str) -> Iterator[Row]:
         (
             "JackInBoxEnv.reset",
             {**options, FROM: start, "options.time": time.but("options['time']", nothing=None)},
-            single,
+            alone,
         ),
-        ("JackInBoxEnv.step", {"action": ACTION}, single),
-        ("JackInBoxEnv.set_state", {"state": held, "time": time}, single),
-        ("JackInBoxVectorEnv.reset", {**options, **first, FROM: rows_of(array(ROWS, none=True), 1e-9)}, several),
-        ("JackInBoxVectorEnv.check_reset", first, several),
-        ("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, several),
-        ("JackInBoxVectorEnv.field", {"name": choice("gravity", (*NUMBERS, "speed_scale"))}, several),
-        ("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, several),
-        ("JackInBoxVectorEnv.step", {"actions": ACTIONS}, several),
+        ("JackInBoxEnv.step", {"action": ACTION}, alone),
+        ("JackInBoxEnv.set_state", {"state": held, "time": time}, alone),
+        ("JackInBoxVectorEnv.reset", {**options, **first, FROM: rows_of(array(ROWS, none=True), 1e-9)}, batch),
+        ("JackInBoxVectorEnv.check_reset", first, batch),
+        ("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, batch),
+        ("JackInBoxVectorEnv.field", {"name": choice("gravity", (*NUMBERS, "speed_scale"))}, batch),
+        ("JackInBoxVectorEnv.impacts", {"number": whole(1, 0, 2)}, batch),
+        ("JackInBoxVectorEnv.step", {"actions": ACTIONS}, batch),
         (
             "JackInBoxVectorEnv.set_states",
             {"states": rows_of(array(ROWS), 1.0), "times": TIMES, "chosen": mask([True, False, True])},
-            several,
+            batch,
         ),
-        ("JackInBoxVectorEnv.tiled", {"first": whole(2, 1, 1024), "size": size((16, 24), 16, 1024)}, several),
+        ("JackInBoxVectorEnv.tiled", {"first": whole(2, 1, 1024), "size": size((16, 24), 16, 1024)}, batch),
     ]
     for name, pair in {"landing": (PAIR, PAIRS), "discrete": (CHOICE, CHOICES)}.items():
-        alone = single._replace(make=partial(JackInBoxEnv, contact=contact, **nouns[name]))
-        batch = several._replace(make=partial(JackInBoxVectorEnv, 3, contact=contact, **nouns[name]))
         rows += [
-            ("JackInBoxEnv.step", {"action": pair[0]}, alone),
-            ("JackInBoxVectorEnv.step", {"actions": pair[1]}, batch),
+            ("JackInBoxEnv.step", {"action": pair[0]}, single(contact=contact, **nouns[name])),
+            ("JackInBoxVectorEnv.step", {"actions": pair[1]}, several(contact=contact, **nouns[name])),
         ]
     for name, arguments, subject in rows:
         yield Row(name, attrgetter(name.rpartition(".")[2]), arguments, subject, contact=contact)

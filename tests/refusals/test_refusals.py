@@ -6,48 +6,27 @@ import functools
 import inspect
 import math
 import re
-from collections.abc import Callable, Mapping
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 import jackbox_env
-from agents.policies.planner import Planner
-from agents.policies.registry import find_policy
-from agents.settings import EnvSettings, TrainSettings
 from jackbox_env import (
-    Chirp,
     JackInBoxEnv,
     JackInBoxVectorEnv,
     Motion,
-    Scene,
-    Task,
-    make_simulator,
     mechanics,
-    rollout,
     states,
 )
-from jackbox_env.model.tasks import juggle
-from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import Simulator
 from tests.refusals.kinds import Hostile, out, real
 from tests.refusals.motions import ROWS
-from tests.refusals.table import START, Row, simulator
+from tests.refusals.sentences import Refusal, Subject, assert_refused, flat, simulator
 from tests.refusals.table import TABLE as OTHERS
+from tests.refusals.table import Row
 
 TABLE = [*OTHERS, *ROWS]
-
-
-def flat(seen: Any) -> list[Any]:
-    """Everything in nested results, as plain values that compare by ==."""
-    if isinstance(seen, Mapping):
-        return flat([(key, seen[key]) for key in sorted(seen)])
-    if isinstance(seen, tuple | list):
-        return [part for value in seen for part in flat(value)]
-    plain = repr(seen) if isinstance(seen, Scene | float | int | str | np.generic) else type(seen).__name__
-    return [str(seen.dtype), seen.shape, seen.tobytes()] if isinstance(seen, np.ndarray) else [plain]
 
 
 @functools.cache
@@ -126,81 +105,6 @@ def test_an_array_that_was_passed_may_change_later(number: int, argument: str) -
     assert flat([returned, row.subject.shown(one)]) == before
 
 
-# -- what is refused for another argument's sake -----------------------------------------------------------------------
-
-
-def with_gradients() -> Any:
-    return pytest.importorskip("torch").ones(1, requires_grad=True)
-
-
-MODELS: Any = np.array(["pymunk", "exact"])
-ARRAY = "^fidelity='coarse' stands for contact='pymunk', got contact="
-SENTENCES: list[tuple[Callable[[], object], type[Exception], str]] = [
-    (lambda: JackInBoxEnv(contct="exact"), TypeError, "no argument 'contct' .*'contact'.*: it accepts .*randomize"),
-    (lambda: gym.make("JackInBox-v0", contct="exact"), TypeError, "no argument 'contct' .*'contact'"),
-    (lambda: JackInBoxEnv(num_threads=2), TypeError, "'num_threads': it belongs to the native vector environment"),
-    (lambda: make_sb3_vec_env(2, with_info=True), ValueError, r"got 'with_info' \(did you mean 'with_infos'"),
-    (lambda: JackInBoxEnv().reset(options={"scen": {}}), ValueError, r"got 'scen' \(did you mean 'scene'\?\)"),
-    (lambda: make_simulator(None, "exact", something=1), ValueError, "accepts only 'substeps', 'iterations'"),
-    (lambda: make_simulator(None, "exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
-    (lambda: JackInBoxEnv(contact="exact", substeps=4), ValueError, "contact='exact' has no .*substeps=4"),
-    (lambda: JackInBoxEnv(fidelity="exact", substeps=4), ValueError, "fidelity='exact' stands for .*substeps=4"),
-    (lambda: make_simulator(fidelity="fine", substeps=4), ValueError, "fidelity='fine' stands for .*substeps=4"),
-    (lambda: make_simulator(fidelity="exact", iterations=9), ValueError, "contact='exact' has no .*iterations=9"),
-    (
-        lambda: Scene(**dict[str, Any](mass=2.0)),
-        TypeError,
-        r"^Scene has no argument 'mass' \(did you mean 'box_mass'\?\)",
-    ),
-    (
-        lambda: Chirp(**{"amplitud": 2.0}),
-        TypeError,
-        r"^Chirp has no argument 'amplitud' \(did you mean 'amplitude'\?\)",
-    ),
-    (lambda: Task(abs), TypeError, "names of its terms and a function, got <built-in function abs>$"),
-    (
-        lambda: Task(juggle),
-        TypeError,
-        r'write Task\(\("reward",\), juggle\) for juggle\(scene, state, torque, impulse\)$',
-    ),
-    (lambda: JackInBoxEnv().step(with_gradients()), TypeError, r"action must .*requires grad: pass its detach\(\)"),
-    (lambda: JackInBoxEnv().step(None), gym.error.ResetNeeded, "step must come after a reset, got none yet"),
-    (lambda: JackInBoxVectorEnv(2).step(None), RuntimeError, "step must come after a reset of all environments"),
-    (lambda: JackInBoxEnv(randomize={"jack_inertia": (1e-6, 4.0)}), ValueError, "jack_inertia=1e-06"),
-    (lambda: rollout(None, START, np.zeros(5), 0.02, time=1e9), ValueError, "dt .* end by 1e[+]09 s"),
-    (
-        lambda: make_sb3_vec_env(2, autoreset_mode=0.0),
-        ValueError,
-        "accepts only .* got 'autoreset_mode'",
-    ),
-    (lambda: make_sb3_vec_env(2, gravity=0.0), ValueError, "make_sb3_vec_env accepts only .* got 'gravity'"),
-    (lambda: JackInBoxEnv(fidelity="coarse", contact=MODELS), ValueError, ARRAY),
-    # settings of trainings, and policies
-    (lambda: TrainSettings(scene="[1]"), ValueError, r"scene must .*\[1"),
-    (lambda: TrainSettings(scene="{"), ValueError, "scene must .*{"),
-    (lambda: find_policy("pid", EnvSettings(), 0), FileNotFoundError, "must be one of .*planner, .*ppo, .* got 'pid'"),
-    (lambda: find_policy("value", EnvSettings(), 0), FileNotFoundError, "a policy must be one of .* got 'value'"),
-    (lambda: Planner(Scene(), samples=1), ValueError, "samples must .*, got 1"),
-    (lambda: Planner(Scene(), elites=300), ValueError, "elites must .*, got 300"),
-    (lambda: Planner(Scene(), knots=1), ValueError, "knots must .*, got 1"),
-    (lambda: Planner(Scene(), repeat=0), ValueError, "repeat must .*, got 0"),
-    (lambda: Planner(Scene(), num_threads=0), ValueError, "num_threads must .*, got 0"),
-    (lambda: Planner(Scene(), control_dt=0.0), ValueError, "control_dt must .*, got 0.0"),
-    (lambda: Planner(Scene(), value="good"), TypeError, "value must be .*, got 'good'"),  # type: ignore[arg-type]
-    (
-        lambda: JackInBoxEnv(action_repeat="bounce", control_dt=1e-19),
-        ValueError,
-        "control_dt .* at least 2e-06, got 1e-19",
-    ),
-]
-
-
-@pytest.mark.parametrize(("call", "error", "sentence"), SENTENCES)
-def test_a_wrong_name_or_combination_is_refused(call: Any, error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
-        call()
-
-
 # -- that nothing is left out, and that the checks can fail ------------------------------------------------------------
 
 # Records and errors; a protocol; checked where it is used.
@@ -250,3 +154,27 @@ def test_a_bad_answer_would_be_seen(call: Any, complaint: str) -> None:
     row = Row("control", lambda one: lambda dt: call(one, dt), {"dt": real(0.5, above=0.0)}, simulator("exact"))
     with pytest.raises((AssertionError, TypeError, pytest.fail.Exception), match=complaint):
         refusal(row, row.subject.make(), "dt", out(math.nan, "nan", "0"))
+
+
+def raising(sentence: str, change: Any = None) -> Any:
+    def call(seen: list[Any]) -> None:
+        seen.append(change) if change else None
+        raise ValueError(sentence)
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (lambda seen: None, "DID NOT RAISE"),
+        (raising("got 2"), "got 2"),
+        (raising("got 1 2"), "got 1 2"),
+        (raising("got 1", "something"), "changed by what it refused"),
+    ],
+)
+def test_a_refusal_in_other_words_would_be_seen(call: Any, complaint: str) -> None:
+    seen: list[Any] = []
+    row = Refusal(call, ValueError, "got 1", Subject(lambda: seen, lambda seen: seen.clear(), list))
+    with pytest.raises((AssertionError, pytest.fail.Exception), match=complaint):
+        assert_refused(row)

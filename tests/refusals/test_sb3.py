@@ -1,0 +1,322 @@
+"""Steps in PyTorch, environments for Stable-Baselines3 and its saved models refuse in one sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
+
+import jackbox_env.torch
+from agents.policies.registry import find_policy
+from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env, save_model
+from scripts import evaluate
+from tests.agents.test_saved_models import HERE, Other, native, trained
+from tests.agents.test_training import filled
+from tests.refusals.sentences import (
+    START,
+    Refusal,
+    Subject,
+    assert_refused,
+    command,
+    contents,
+    files,
+    fill,
+    folder,
+    rows,
+    single,
+)
+
+# -- torch and Stable-Baselines3 ---------------------------------------------------------------------------------------
+
+FLOOR = torch.tensor(
+    [[0.0] * 12, [0.0] * 4 + [-5.0] + [0.0] * 5 + [-1.0, 0.0]], dtype=torch.float64
+)  # an impact at once
+SHARES = torch.full((3, 1), 0.1, requires_grad=True)
+ANY: Any = jackbox_env.torch.step
+NATIVE = Subject(
+    partial(make_sb3_vec_env, 3, contact="exact"),
+    lambda envs: (envs.seed(1), envs.set_options(), envs.reset()),
+    lambda envs: [envs.get_attr(name) for name in ("state", "time")],
+)
+
+
+def monitored() -> Any:
+    envs = VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=1), info_keywords=("impacts",))
+    envs.reset()
+    return envs
+
+
+LEARNING = [
+    Refusal(
+        lambda _: ANY(None, FLOOR, torch.full((2,), 0.1, requires_grad=True)),
+        ValueError,
+        'states must have a derivative, 1 of 2 have none, the first is states[1]; nonsmooth="zero" uses 0',
+    ),
+    *(
+        Refusal(
+            lambda _, bad=bad: ANY(None, torch.zeros((2, 12)), torch.tensor([0.0, bad])),
+            ValueError,
+            f"actions must be finite numbers (clipped to [-1, 1]), got {bad}",
+        )
+        for bad in (math.nan, math.inf, -math.inf)
+    ),
+    Refusal(
+        lambda _: ANY(None, torch.zeros(12), SHARES),
+        ValueError,
+        "states and actions must have shapes (N, 12) and (N,) or (N, 1), got (12,), (3, 1)",
+    ),
+    Refusal(
+        lambda _: ANY(None, torch.zeros((3, 12)), SHARES, task="rattle"),
+        ValueError,
+        "task must be one of 'juggle', 'spin', got 'rattle'",
+    ),
+    Refusal(
+        lambda _: ANY(None, torch.zeros((3, 12)), SHARES, nonsmooth="ignore"),
+        ValueError,
+        "nonsmooth must be one of 'raise', 'zero', got 'ignore'",
+    ),
+    Refusal(
+        lambda _: ANY(None, np.zeros((3, 12)), SHARES), TypeError, "states must be a torch.Tensor of floats, got ..."
+    ),
+    Refusal(
+        lambda env: env.step(torch.ones(1, requires_grad=True)),
+        TypeError,
+        "action must be one finite number (clipped to [-1, 1]), got a tensor that requires grad: pass its detach()",
+        single(),
+    ),
+    Refusal(
+        lambda _: make_sb3_vec_env(2, with_info=True),
+        ValueError,
+        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
+        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
+        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
+        "'episode_steps', got 'with_info' (did you mean 'with_infos'?)",
+    ),
+    Refusal(
+        lambda _: make_sb3_vec_env(2, autoreset_mode=0.0),
+        ValueError,
+        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
+        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
+        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
+        "'episode_steps', got 'autoreset_mode' (did you mean 'render_mode'?)",
+    ),
+    Refusal(
+        lambda _: make_sb3_vec_env(2, gravity=0.0),
+        ValueError,
+        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
+        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
+        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
+        "'episode_steps', got 'gravity'",
+    ),
+    Refusal(
+        lambda _: make_sb3_vec_env(1, max_episode_steps=0),
+        ValueError,
+        "max_episode_steps (-1: no limit) must be a whole number from 1 to 1000000000000000, got 0",
+    ),
+    Refusal(
+        lambda envs: envs.step(np.zeros((2, 1))),
+        ValueError,
+        "actions must have shape (3, 1) or (3,), got shape (2, 1)",
+        NATIVE,
+    ),
+    Refusal(
+        lambda envs: envs.set_attr("state", START),
+        AttributeError,
+        "state cannot be assigned, got ...: set_state changes it",
+        NATIVE,
+    ),
+    *(
+        Refusal(
+            lambda envs, bad=bad: (envs.set_options([{"time": 3.0}, bad, {}]), envs.reset()),
+            ValueError,
+            sentence,
+            NATIVE,
+        )
+        for bad, sentence in (
+            ({"bogus": 1}, "options accepts only 'state', 'time', 'scene', got 'bogus'"),
+            ({"time": math.nan}, "options['time'] must be a finite number at least -1e+09 and at most 1e+09, got nan"),
+            ({"state": np.ones(11)}, "options['state'] must have shape (12,) or (3, 12), got shape (11,)"),
+            ({"reset_mask": np.ones(3, bool)}, "options accepts only 'state', 'time', 'scene', got 'reset_mask'"),
+        )
+    ),
+    Refusal(
+        lambda envs: envs.step(np.zeros((2, 1))),
+        KeyError,
+        "\"infos have 'impacts' only in environments made with with_infos=True\"",
+        Subject(monitored),
+    ),
+    Refusal(
+        lambda envs: envs.venv.step(np.zeros((2, 1)))[3][0]["something"], KeyError, "'something'", Subject(monitored)
+    ),
+    Refusal(
+        lambda _: filled(DurationBuffer, 0.8),
+        RuntimeError,
+        "the durations of decisions are missing: train with the callback Durations",
+    ),
+]
+
+# -- models of Stable-Baselines3 ---------------------------------------------------------------------------------------
+
+
+@cache
+def stored() -> dict[str, str | bytes]:
+    """A saved model and its env.json."""
+    fill(folder(), {})
+    save_model(PPO("MlpPolicy", native(1)), folder() / "model.zip")
+    return {path.name: path.read_bytes() for path in folder().iterdir()}
+
+
+def damaged(sentence: str, **change: Any) -> Refusal:
+    def start(path: Path) -> None:
+        entry = {**json.loads(stored()["env.json"])["model.zip"], **change}
+        fill(path, {**stored(), "env.json": json.dumps({"model.zip": entry if change else {}})})
+
+    return Refusal(
+        lambda _: find_policy("model.zip", HERE, trust=True), ValueError, sentence, Subject(folder, start, contents)
+    )
+
+
+@cache
+def model_of(make: Callable[[], Any]) -> bytes:
+    trained(make()).save(file := io.BytesIO())
+    return file.getvalue()
+
+
+def misfit(make: Callable[[], Any], sentence: str, *options: str) -> Refusal:
+    """A model that is evaluated elsewhere than it was trained."""
+    subject = Subject(folder, lambda path: fill(path, {"model.zip": model_of(make)}), contents)
+    return Refusal(command(evaluate.main, "--policy", "model.zip", "--trust", *options), SystemExit, sentence, subject)
+
+
+STATISTICS = {"mean": [0.0], "variance": [], "clip": 1.0, "epsilon": 1e-8}
+MODELS = [
+    Refusal(
+        lambda _: find_policy("model.zip", HERE),
+        FileNotFoundError,
+        "model.zip has no settings.json beside it to rebuild the model from; if you trust its author, use --trust",
+        Subject(folder, lambda path: fill(path, stored()), contents),
+    ),
+    Refusal(
+        lambda _: find_policy("mine.py:none", HERE, trust=True),
+        ValueError,
+        "mine.py:none cannot be imported: AttributeError: ...",
+        files({"mine.py": ""}),
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance "
+        "must be as many numbers as are observed, at least 0 in the variance",
+        wrappers=[STATISTICS],
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance "
+        "must be as many numbers as are observed, at least 0 in the variance",
+        wrappers=[{**STATISTICS, "variance": [-1.0]}],
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: stack must be a whole "
+        "number from 1 to 1000, got 0",
+        wrappers=[{"stack": 0}],
+    ),
+    damaged(
+        "model.zip is no model of Stable-Baselines3: ValueError: its algorithm must be of "
+        "stable_baselines3 or sb3_contrib, got 'os:system'",
+        algorithm="os:system",
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: observation must be "
+        "one of 'state', 'landing', 'pixels', got 'sea'",
+        env={"observation": "sea"},
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: nowhere.py:x cannot "
+        "be imported: FileNotFoundError: [Errno 2] No such file or directory: 'nowhere.py'",
+        env={"observation": "nowhere.py:x"},
+    ),
+    damaged("env.json: model.zip must have algorithm, env, missing, wrappers, got {}"),
+    Refusal(
+        lambda _: save_model(PPO("MlpPolicy", "Pendulum-v1"), Path("model.zip")),
+        TypeError,
+        "save_model needs a model with environments of JackInBox-v0, got <stable_baselines3...",
+        files({}),
+    ),
+    Refusal(
+        lambda _: save_model(
+            PPO("MlpPolicy", DummyVecEnv([lambda: Other(gym.make("JackInBox-v0"))])), Path("model.zip")
+        ),
+        ValueError,
+        "save_model cannot store Other: of wrappers that change observations or actions it stores "
+        "VecNormalize and VecFrameStack",
+        files({}),
+    ),
+    Refusal(
+        lambda _: save_model(
+            PPO("MlpPolicy", native(2, scene=[{"gravity": 1.0}, {"gravity": 2.0}])), Path("model.zip")
+        ),
+        ValueError,
+        "save_model needs environments with the same scene, got several",
+        files({}),
+    ),
+    misfit(
+        lambda: native(action="landing"),
+        "Note: no env.json beside model.zip describes it, so it chooses a torque in every control "
+        "step (--env)\nmodel.zip cannot be played as env.json or --env describe: ValueError: it has "
+        "observations (10,) and Box(-1.0, 1.0, (2,), float32), got (10,) and Box(-1.0, 1.0, (1,), "
+        "float32): use --env observation=..., --env action=... and --env action_repeat=... as in its "
+        "training",
+    ),
+    misfit(
+        native,
+        "model.zip cannot be played as env.json or --env describe: ValueError: it has observations "
+        "(10,) and Box(-1.0, 1.0, (1,), float32), got (10,) and Box(-1.0, 1.0, (2,), float32): use "
+        "--env observation=..., --env action=... and --env action_repeat=... as in its training",
+        "--env",
+        "action=landing",
+    ),
+    misfit(
+        lambda: VecFrameStack(native(), 3),
+        "Note: no env.json beside model.zip describes it, so it chooses a torque in every control "
+        "step (--env)\nmodel.zip cannot be played as env.json or --env describe: ValueError: it has "
+        "observations (30,) and Box(-1.0, 1.0, (1,), float32), got (10,) and Box(-1.0, 1.0, (1,), "
+        "float32): if VecFrameStack stacked them, save it by jackbox_env.sb3.save_model; else use "
+        "--env observati",
+    ),
+    misfit(
+        lambda: VecNormalize(native()),
+        "model.zip was trained under VecNormalize, whose statistics are missing: use --vecnormalize "
+        "FILE.pkl, or save it by jackbox_env.sb3.save_model",
+        "--env",
+        "action_repeat=2",
+    ),
+    misfit(native, "model.zip has no statistics of VecNormalize: UnpicklingError: ...", "--vecnormalize", "model.zip"),
+    misfit(
+        native,
+        "model.zip cannot be played as env.json or --env describe: ValueError: action_repeat must be "
+        "a whole number from 1 to 1000000, got 0",
+        "--env",
+        "action_repeat=0",
+    ),
+]
+
+
+@pytest.mark.filterwarnings("ignore:The environment is already wrapped with a `Monitor`")
+@rows([*LEARNING, *MODELS])
+def test_stable_baselines3_gets_one_sentence_and_nothing_has_changed(row: Refusal) -> None:
+    assert_refused(row)
+
+
+@pytest.mark.filterwarnings("ignore:The environment is already wrapped with a `Monitor`")
+def test_a_monitor_records_infos_that_environments_have() -> None:
+    envs = VecMonitor(make_sb3_vec_env(1, contact="exact", max_episode_steps=1, with_infos=True), None, ("impacts",))
+    envs.reset()
+    assert envs.step(np.zeros((1, 1)))[3][0]["episode"]["impacts"] == 0
