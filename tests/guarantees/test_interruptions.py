@@ -1,4 +1,4 @@
-"""Ctrl-C in a batch: nothing has changed, or all has; nothing hangs, no thread writes later.
+"""Ctrl-C in a batch, or while code is compiled: nothing has changed, or all has; nothing hangs, no thread writes later.
 
 ``JACKBOX_INTERRUPTS=100000`` interrupts as often at random moments, not 500 times.
 """
@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -219,10 +220,11 @@ def compile_twice(name: str) -> None:
     Interrupt(name)
     with pytest.raises(KeyboardInterrupt):
         compiler.compiled(cos_sin)(0.3)
-    print(compiler.compiled(cos_sin)(0.3) == cos_sin(0.3))
+    again = compiler.compiled(cos_sin)
+    print(again(0.3) == cos_sin(0.3) and not isinstance(again, FunctionType))
 
 
-@pytest.mark.parametrize("name", ["numba.core.dispatcher", "numba.np.linalg"])
+@pytest.mark.parametrize("name", ["numba.core.types.misc", "numba.parfors.parfor"])
 def test_an_interrupt_while_numba_is_imported_leaves_nothing_broken(name: str) -> None:
     code = f"from tests.guarantees.test_interruptions import compile_twice; compile_twice({name!r})"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
