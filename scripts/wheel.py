@@ -50,7 +50,8 @@ def call_all() -> None:
         for _ in range(2):  # the second changes arguments in place
             envs.step(envs.action_space.sample())
     rollout(None, np.zeros(12), np.zeros(2), 0.02)
-    simulate(duration=0.1)(0.05)
+    for height in (0.0, -5.0):  # of the jack, whose foot then rests
+        simulate({"drive": None}, [0.0] * 4 + [height] + [0.0] * 7, 0.1)(0.05)
     linearization.ensure_compiled()
     late.with_all(new_workspaces())
 

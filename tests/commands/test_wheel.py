@@ -176,6 +176,7 @@ FIRST = {
     "rollout": "jackbox_env.rollout(None, np.zeros(12), np.zeros((8, 100)), 0.02, rewards='juggle')",
     "linearize": "d = jackbox_env.linearize(None, np.zeros(12), [0.0], 0.02); d.A; d.jvp(); d.vjp(np.ones((1, 2, 12)))",
     "simulate": "jackbox_env.simulate(duration=5.0)(4.99)",
+    "rest": "jackbox_env.simulate({'drive': None}, [0.0] * 4 + [-5.0] + [0.0] * 7, 1.0)(0.5)",
     "pixels": "gym.make('JackInBox-v0', fidelity='exact', observation='pixels').reset(seed=0)",
 }
 NOTHING_COMPILES = """
