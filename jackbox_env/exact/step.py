@@ -110,7 +110,7 @@ def step(
         scene: the scene.
         params: what all steps have in common.
         before: the state, in the first 12 numbers.
-        after: written with the new state; may be ``before``.
+        after: written with the new state; another array than ``before``.
         time: at the step's start [s].
         torque: constant, on the box [N m]; ignored under a drive.
         pieces: of the drive's functions; none for other drives.
