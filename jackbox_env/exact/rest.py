@@ -56,8 +56,8 @@ from jackbox_env.exact.search import (
     Limits,
     bounds_of,
     first_of_all,
+    may_rest,
     parabola_root,
-    slowest,
     why_undecided,
 )
 from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace, new_log, new_workspaces
@@ -128,13 +128,16 @@ def mass_scale_accelerations(scene: SceneNumbers, memory: Workspace, state: Arra
         contacts.bias[number] = turn / contacts.lengths[number]
 
 
-def list_slow(scene: SceneNumbers, memory: Workspace, frame: Frame, resolution: float, slow: float) -> int:
-    """List contacts within ``resolution`` [m] at rates up to ``slow`` [m/s], but not released ones; return how many."""
+def list_slow(
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, frame: Frame, resolution: float
+) -> int:
+    """List the contacts that may be at rest within ``resolution`` [m], but not released ones; return how many."""
     count, released = 0, memory.held.released
     for pair in range(16):
         row = memory.contacts.gradients[count]
         gap = gradient(scene, frame, pair // 4, pair % 4, row)
-        if gap <= resolution and abs(rate_of(memory.state, row)) <= slow and not released & (1 << pair):
+        resting = may_rest(scene, memory, flight, limits, gap, rate_of(memory.state, row), resolution)
+        if resting and not released & (1 << pair):
             memory.contacts.pairs[count] = pair
             count += 1
     return count
@@ -163,7 +166,7 @@ def settle(
     frame = frame_of(state)
     bounds = bounds_of(scene, flight, horizon, piece.max_angular_acceleration, piece.max_acceleration)
     limits = Limits(bounds.centre_curvature + bounds.foot_curvature, horizon, 0.5 * tolerances.tolerance)
-    count = list_slow(scene, memory, frame, resolution, slowest(scene, flight, limits, resolution))
+    count = list_slow(scene, memory, flight, limits, frame, resolution)
     accelerations(scene, memory, piece, flight.since)
     while count > 0:
         memory.evaluations += 1.0

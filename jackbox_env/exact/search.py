@@ -10,8 +10,9 @@ o a foot from there, |o| = l. With |gap''| <= K until the horizon,
 
 so a walk to the first positive root of that parabola never passes an impact by a foot that arrives. A foot that touches
 already and slides or leaves may get deeper, by at most ``contact.deepest``, and so may all feet while a step chatters:
-see :func:`search`. The walk converges quadratically if the foot arrives at speed. If |r| + l < L throughout, no contact
-is possible and no gap is evaluated. In a box that turns far, K is large and many feet may reach many walls:
+see :func:`search`. A foot that starts outside is free while it comes back, and bounces where it turns round: see
+:func:`turning`. The walk converges quadratically if the foot arrives at speed. If |r| + l < L throughout, no contact is
+possible and no gap is evaluated. In a box that turns far, K is large and many feet may reach many walls:
 :func:`first_impact_fast_rotation` then follows all of them at once.
 
 Bounds: with upper bounds a, V, D of the centres' relative acceleration, speed and distance |r|, and Omega, A, S of
@@ -188,7 +189,8 @@ def parabola_root(gap: float, rate: float, curvature: float) -> float:
 def rounding(scene: SceneNumbers, flight: Flight, horizon: float) -> float:
     """Rounding of a gap's rate within ``horizon`` [s] [m/s]."""
     bound = 1e-15 * (abs(flight.vx) + abs(flight.vy) + flight.gravity * horizon)
-    return bound + 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+    bound += 1e-15 * (abs(flight.omega) * scene.box_half_width + scene.jack_arm * abs(flight.jack_omega))
+    return bound + 1e-15 * flight.speeds
 
 
 # Kinds of events: an impact, none within the horizon, undecided after reasonable work, or a foot may be at rest now.
@@ -201,6 +203,9 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
+_OUTSIDE = 2.5  # of ``deepest``: a foot that strikes from inside is less deep
+_DIP = 1e-3  # of the depth of a foot outside: how much deeper it may be between two gap evaluations
+_PATIENT = 10_000.0  # gap evaluations in a search for one foot's impact before it is followed as one outside
 
 
 class Event(NamedTuple):
@@ -310,7 +315,7 @@ def first_of_all(
             searched = likely.kind == IMPACT and likely.wall == wall and likely.foot == foot
             if flight.held & (1 << (4 * wall + foot)) or searched:
                 continue
-            if may_rest(scene, flight, limits, gap, rate, resolution):
+            if may_rest(scene, memory, flight, limits, gap, rate, resolution):
                 return Event(AT_REST, 0.0, wall, foot)
             until = Limits(curvature, first.time, half_tolerance)
             time = search(scene, memory, flight, until, wall, foot, since, gap, rate)
@@ -349,7 +354,7 @@ def first_impact_fast_rotation(
             ahead, speed = towards(frame, wall)
             for foot in range(4):
                 gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, foot - wall)
-                resting = s == 0.0 and may_rest(scene, flight, limits, gap, rate, resolution)
+                resting = s == 0.0 and may_rest(scene, memory, flight, limits, gap, rate, resolution)
                 if (gap <= half_tolerance and rate < 0.0) or resting:
                     arrived = True
                 gap = max(gap, 0.1 * half_tolerance)  # above 0, so that the time advances
@@ -371,20 +376,32 @@ def first_impact_fast_rotation(
     return first_of_all(scene, memory, flight, view, ALL, likely, Limits(curvature, end, half_tolerance), -math.inf)
 
 
-def may_rest(scene: SceneNumbers, flight: Flight, limits: Limits, gap: float, rate: float, resolution: float) -> bool:
-    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``resolution`` [m]; -inf: none may."""
-    return gap <= resolution and abs(rate) <= slowest(scene, flight, limits, resolution)
+def may_rest(
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, gap: float, rate: float, resolution: float
+) -> bool:
+    """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``resolution`` [m]; -inf: none may.
 
-
-def slowest(scene: SceneNumbers, flight: Flight, limits: Limits, resolution: float) -> float:
-    """The rate up to which a foot that touches may be at rest [m/s].
-
-    With loss a foot rests if it would rise by ``resolution`` [m] at most. Without loss nothing comes to rest, but a
-    foot whose rate is rounding does not bounce.
+    With loss a foot rests if it would rise by ``resolution`` at most. Without loss nothing comes to rest, but a foot
+    whose rate is rounding does not bounce.
     """
+    if not gap <= resolution:
+        return False
     if scene.restitution < 1.0:
-        return math.sqrt(2.0 * limits.curvature * resolution)
-    return rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
+        return abs(rate) <= math.sqrt(2.0 * limits.curvature * resolution)
+    still = rounding(scene, flight, limits.end)
+    return abs(rate) <= (unresolved(flight, limits, still) if is_outside(scene, memory, limits, gap) else still)
+
+
+def is_outside(scene: SceneNumbers, memory: Workspace, limits: Limits, gap: float) -> bool:
+    """Whether a foot is deeper than those that strike from inside, or the step takes too much work for their law."""
+    depth = max(_OUTSIDE * deepest(scene), 4.0 * limits.half_tolerance)
+    return gap < -depth or memory.evaluations > 0.5 * MOST_WORK
+
+
+def unresolved(flight: Flight, limits: Limits, still: float) -> float:
+    """Rounding of a rate in all of a piece [m/s], which is ``still`` [m/s] in a flight that begins at angles near 0."""
+    turned = abs(flight.angle) + abs(flight.jack_angle)
+    return still * (1.0 + turned) + 2e-15 * limits.curvature * flight.half
 
 
 @inlined
@@ -404,15 +421,26 @@ def search(
     half the contact tolerance at first and grows with the step's impacts, up to :func:`deepest`. For a sliding foot it
     is :func:`deepest` at once. So a jack that rests on a wall or slides along it costs thousands of gap evaluations and
     impacts, not millions. While :func:`is_chattering`, a foot that does not touch yet may penetrate as deep.
+    A foot that :func:`is_outside`, or takes more than ``_PATIENT`` evaluations, bounces where it turns round instead:
+    see :func:`turning`.
     """
-    still = rounding(scene, flight, limits.end) + 1e-15 * flight.speeds
+    still = rounding(scene, flight, limits.end)
     half_tolerance = limits.half_tolerance
+    patient = memory.evaluations + _PATIENT
     while True:
         if gap > half_tolerance:
             granted = deepest(scene) if is_chattering(scene, memory) else 0.0
             after = s + parabola_root(gap + granted, rate, limits.curvature)
         elif rate < -still:
             return min(s + parabola_root(max(gap, 0.0), rate, limits.curvature), limits.end)
+        elif is_outside(scene, memory, limits, gap) or memory.evaluations > patient:
+            s = turning(scene, memory, flight, limits, wall, foot, s, gap, rate, still)
+            if s > limits.end:
+                return math.inf
+            gap, rate = gap_at(scene, flight, memory, wall, foot, s)
+            if gap <= half_tolerance:
+                return s
+            continue
         else:
             sink = widened(scene, memory, half_tolerance) if rate > still else deepest(scene)
             least = 0.0 if rate > still else 0.1 * half_tolerance  # above 0: sliding does not advance time
@@ -425,6 +453,35 @@ def search(
             after = s + 2.3e-16 * s
         s = after
         gap, rate = gap_at(scene, flight, memory, wall, foot, s)
+
+
+def turning(
+    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, wall: int, foot: int, s: float, gap: float,
+    rate: float, still: float,
+) -> float:  # fmt: skip
+    """When a foot outside that does not approach at ``s`` [s] turns round; infinity if it does not within the limits.
+
+    Its rate is rounding there, or else the time is the first that float64 resolves after it turned. So a foot that is
+    pressed outwards rests from then on, and gets no deeper. A foot that comes back into the box is followed no further:
+    the time is then one at which it is there. Between two evaluations a foot may get deeper and come back unseen, by
+    :func:`deepest` or ``_DIP`` of its depth.
+    """
+    still = unresolved(flight, limits, still)
+    while s < limits.end and gap <= limits.half_tolerance and memory.evaluations <= MOST_WORK:
+        sink = max(deepest(scene), -_DIP * gap)
+        after = min(s + parabola_root(sink, max(rate, 0.0), limits.curvature), limits.end)
+        gap, rate = gap_at(scene, flight, memory, wall, foot, after)
+        if rate >= -still:
+            s = after
+            continue
+        while s < 0.5 * (s + after) < after:
+            middle = 0.5 * (s + after)
+            _, rate = gap_at(scene, flight, memory, wall, foot, middle)
+            if abs(rate) <= still:
+                return middle
+            s, after = (s, middle) if rate < 0.0 else (middle, after)
+        return after
+    return s if gap > limits.half_tolerance else math.inf
 
 
 def why_undecided(memory: Workspace) -> Status:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from jackbox_env import JackLostError, Scene, make_simulator
+from jackbox_env import Chirp, Drive, JackInBoxVectorEnv, JackLostError, Scene, make_simulator
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.model.states import as_start, clearance
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.guarantees.poses import velocity_error
 from tests.simulators.engine import impact_in_an_instant
-from tests.states import Array, several_contacts
+from tests.states import WEIGHTLESS, Array, lying, several_contacts
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 
@@ -29,6 +30,54 @@ def with_foot(outside: float, width: float = 6.0) -> Array:
 def test_the_tolerance_grows_far_from_the_origin() -> None:
     far = np.array([1e9, -1e9, 0.0, 1e9 + 5.0 + 2.4e-7, -1e9, *[0.0] * 7])  # 2 ulp outside
     np.testing.assert_array_equal(as_start(Scene(), far), far)
+
+
+DRIVES = [
+    None,
+    Chirp(),
+    *(Drive(torque=constant) for constant in (lambda t: 1.0, lambda t: -1.0, lambda t: 0.3)),
+]
+FIELDS: list[dict[str, float]] = [{}, {"gravity": 0.0}, {"box_half_width": 0.15, "jack_arm": 0.025}]
+
+
+def beyond_the_floor(rng: np.random.Generator) -> tuple[Scene, Array]:
+    """A scene, and a jack with a foot 1e-12 to 1 m below the floor that is at rest in the box, slow or fast."""
+    fields, drive = FIELDS[rng.integers(3)], DRIVES[rng.integers(5)]
+    scene = Scene(**fields, restitution=rng.choice([1.0, 1.0, 0.9, 0.0]), drive=drive)
+    half, turned, tilt = scene.box_half_width, rng.choice([0.0, rng.uniform(-0.7, 0.7)]), rng.uniform(-3.0, 3.0)
+    depth = 10.0 ** rng.uniform(-12.0, math.log10(min(1.0, half)))
+    omega = rng.choice([0.0, rng.uniform(-3.0, 3.0)])
+    state = lying(rng.uniform(-0.5, 0.5) * half, omega, tilt, turned, half + depth - scene.jack_arm * math.cos(turned))
+    rate = rng.choice([0.0, -1.0, 1.0]) * 10.0 ** rng.uniform(-15.0, 0.5)
+    state[9:11] += rate * np.array([-math.sin(tilt), math.cos(tilt)])
+    return scene, state
+
+
+def test_a_foot_outside_is_followed_whatever_its_rate_and_gets_no_deeper(cases: Callable[[int], int]) -> None:
+    count, rng = cases(1000), np.random.default_rng(4)
+    scenes, states = zip(*(beyond_the_floor(rng) for _ in range(count)), strict=True)
+    batch = JackInBoxVectorEnv(count, contact="exact", scene=list(scenes), torque="chirp")
+    batch.reset(seed=0)
+    batch.set_states(np.array(states), 0.0)
+    trajectory = [batch.states for _ in range(4) if batch.step(np.zeros((count, 1)))]
+    for row, (scene, state) in enumerate(zip(scenes, states, strict=True)):
+        alone = make_simulator(scene, "exact")
+        alone.reset(state)
+        for after in trajectory:
+            alone.step(0.02)
+            np.testing.assert_array_equal(alone.state, after[row])
+            deeper = clearance(scene, state.tolist()) - clearance(scene, alone.state.tolist())
+            assert deeper < 2.4e-10 * min(1.0, scene.box_half_width)
+
+
+@pytest.mark.parametrize("outside", [1e-9, 1e-3])
+def test_a_foot_outside_that_gravity_turns_round_rests_there_and_one_that_nothing_pulls_leaves(outside: float) -> None:
+    rate = math.sqrt(9.81 * outside)  # rises by half the depth
+    for scene, expected in ((Scene(drive=None), -0.5 * outside), (WEIGHTLESS, rate * 0.02 - outside)):
+        simulator = make_simulator(scene, "exact")
+        simulator.reset(lying(turned=0.0, depth=5.0 + outside) + rate * np.eye(12)[10])
+        simulator.step(0.02)
+        assert clearance(scene, simulator.state.tolist()) == pytest.approx(expected, rel=1e-9, abs=2e-13)
 
 
 def test_without_the_refusal_the_jack_would_be_out_of_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
