@@ -67,7 +67,16 @@ COMMANDS = [
     refused(evaluates("--policy", "/dev/null"), "/dev/null has no model: neither best_model.zip nor model.zip"),
     refused(
         evaluates("--policy", "level", "--env", "action_repeat=4"),
-        "--env and --vecnormalize are for model files and functions, got level",
+        "--env action_repeat is for model files and functions, got level",
+    ),
+    refused(
+        evaluates("--policy", "level", "--vecnormalize", "s.pkl"),
+        "--vecnormalize is for model files and functions, got level",
+    ),
+    refused(
+        evaluates("--policy", "level", "--env", "max_episode_steps=-1"),
+        "episodes must have one number of control steps, got inf to inf with max_episode_steps -1: "
+        "use --env episode_steps=500",
     ),
     refused(
         evaluates("--policy", "level", "--env", "repeat=4"),
