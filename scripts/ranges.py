@@ -25,7 +25,7 @@ CORE = [
     "tests/guarantees/test_flight.py",
     "tests/guarantees/test_derivatives.py",
 ]
-TOOLS = ["mpmath", "pytest", "pytest-timeout", "pytest-xdist", "sympy"]
+TOOLS = ["hypothesis", "mpmath", "pytest", "pytest-timeout", "pytest-xdist", "sympy"]
 
 
 def dependencies(kind: str) -> list[str]:

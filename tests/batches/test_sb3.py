@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import gymnasium as gym
@@ -34,45 +33,26 @@ def assert_same_infos(actual: list[dict[str, Any]], expected: list[dict[str, Any
 
 
 @EVERY_MODEL
-@pytest.mark.parametrize("settings", [{}, {"task": "rattle", "control_dt": 0.05, "scene": {"jack_arm": 5.0}}], ids=str)
-def test_each_step_is_that_of_dummy_vec_env(contact: str, settings: dict[str, Any]) -> None:
-    arguments = {"contact": contact, "max_episode_steps": 70, **settings}
+def test_each_step_is_that_of_dummy_vec_env(contact: str) -> None:
+    arguments: dict[str, Any] = {
+        "contact": contact, "max_episode_steps": 35, "task": "rattle", "control_dt": 0.05, "scene": {"jack_arm": 5.0},
+        "randomize": {"gravity": (5.0, 15.0)},
+    }  # fmt: skip
     native, plain = make_sb3_vec_env(3, with_infos=True, **arguments), dummy(3, **arguments)
     assert native.observation_space == plain.observation_space
     assert native.action_space == plain.action_space
     assert native.seed(9) == plain.seed(9) == [9, 10, 11]
     assert_same(native.reset(), plain.reset())
     assert_same_infos(native.reset_infos, plain.reset_infos)
-    handed: list[Any] = []
-    copied: list[Any] = []
-    for step in range(220):
+    impacts = 0
+    for step in range(110):
         actual, expected = native.step(actions_at(step, 3)), plain.step(actions_at(step, 3))
         assert_same(actual[:3], expected[:3])
         assert_same_infos(actual[3], expected[3])
         assert_same_infos(native.reset_infos, plain.reset_infos)
-        handed.append(actual)
-        copied.append(copy.deepcopy(actual))
-    assert sum(info["impacts"] for *_, infos in handed for info in infos) > 3
-    assert_same(handed, copied)  # what was handed out is as it was
+        impacts += sum(info["impacts"] for info in actual[3])
+    assert impacts > 3
     assert_same(native.reset(), plain.reset())  # unseeded: the generators went the same way
-
-
-@EVERY_MODEL
-def test_infos_have_durations_and_the_keys_of_stable_baselines_alone_by_default(contact: str) -> None:
-    arguments: dict[str, Any] = {"contact": contact, "max_episode_steps": 7}
-    slim, full = make_sb3_vec_env(2, **arguments), make_sb3_vec_env(2, with_infos=True, **arguments)
-    for env in (slim, full):
-        env.seed(3)
-        env.reset()
-    handed_out = []
-    for step in range(30):
-        actual, expected = slim.step(actions_at(step, 2)), full.step(actions_at(step, 2))
-        assert_same(actual[:3], expected[:3])
-        names = ("duration", "episode", "TimeLimit.truncated", "terminal_observation")[: 4 if actual[2].all() else 1]
-        assert_same_infos(actual[3], [{name: info[name] for name in names} for info in expected[3]])
-        handed_out += actual[3]
-    assert sum(len(info) > 1 for info in handed_out) == 8
-    assert len({id(info) for info in handed_out}) == len(handed_out)  # wrappers write into them
 
 
 def test_options_are_used_once_by_environment() -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
+import random
 import tracemalloc
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Pixels, Scene
 from jackbox_env.envs.scoring import observed
@@ -19,9 +17,9 @@ from jackbox_env.model.action import Repeats
 from jackbox_env.model.landing import aim
 from jackbox_env.model.observation import observation_of, observe
 from jackbox_env.model.states import State
-from jackbox_env.sb3 import make_sb3_vec_env
-from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_alike, assert_same
-from tests.batches.test_ends import FALL
+from tests.batches.alike import Alike
+from tests.batches.drawn import FALL, SEEN, SERVO
+from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_same
 from tests.states import inside
 
 LANDINGS: dict[str, Any] = {"action": "landing", "action_repeat": "bounce"}
@@ -29,102 +27,6 @@ LANDINGS: dict[str, Any] = {"action": "landing", "action_repeat": "bounce"}
 
 def made(**settings: Any) -> gym.Env[Any, Any]:
     return gym.make("JackInBox-v0", **settings)
-
-
-def seen(scene: Any, state: Any, time: float) -> tuple[float, float, float]:
-    return (state.y_jack - state.y_box) / scene.box_half_width, math.sin(time), state.omega_jack
-
-
-def servo(scene: Any, state: Any, action: tuple[float, float], time: float, dt: float) -> float:
-    wanted = 30.0 * (action[0] + 0.01 * action[1] - state.theta_box) - 10.0 * state.omega_box
-    return float(wanted * scene.box_inertia / scene.torque_limit)
-
-
-def beat(scene: Any, state: Any, action: int, time: float, dt: float) -> float:
-    return (action - 2) / 2 * math.cos(time)
-
-
-SEEN = Observation(("height", "beat", "spin"), -1.0, [1.0, 0.5, 0.25], seen)
-SERVO = Action(gym.spaces.Box(np.array([-0.5, -1.0], np.float32), np.array([0.3, 1.0], np.float32)), servo)
-BEAT = Action(gym.spaces.Discrete(5), beat)
-
-
-def drawn(space: gym.Space[Any], steps: int, count: int) -> list[Any]:
-    """Actions in and out of a Box, or of a Discrete."""
-    rng = np.random.default_rng(0)
-    if isinstance(space, gym.spaces.Discrete):
-        return list(rng.integers(0, space.n, (steps, count)))
-    return list(rng.uniform(-1.3, 1.3, (steps, count, *(space.shape or ()))).astype(np.float32))
-
-
-# -- the same everywhere ----------------------------------------------------------------------------------------------
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize(
-    ("observation", "action", "repeat", "task"),
-    [
-        ("state", "landing", 15, FALL),
-        ("landing", "landing", "bounce", FALL),
-        ("landing", "discrete", "bounce", "rattle"),
-        ("state", "torque", 4, FALL),
-        (SEEN, SERVO, 1, "juggle"),
-        (SEEN, BEAT, 7, FALL),
-        (Pixels((20, 24), 3), "torque", 2, FALL),
-        (Pixels((24, 20), 3), "landing", "bounce", FALL),
-        ("pixels-16x16x1", "torque", 2, "juggle"),
-    ],
-)
-def test_every_kind_of_environment_does_the_same(
-    contact: str, mode: AutoresetMode, observation: Any, action: Any, repeat: Repeats, task: Any
-) -> None:
-    settings: dict[str, Any] = {
-        "contact": contact, "task": task, "episode_steps": 75, "max_episode_steps": 40, "observation": observation,
-        "action": action, "action_repeat": repeat,
-        "randomize": {"gravity": (5.0, 15.0), "box_half_width": (4.0, 8.0), "torque_limit": (1e4, 9e4)},
-    }  # fmt: skip
-    vector = JackInBoxVectorEnv(3, autoreset_mode=mode, with_infos=True, **settings)
-    stable = make_sb3_vec_env(3, **settings) if mode.name == "SAME_STEP" else None
-    actions = drawn(vector.single_action_space, 60, 3)
-    ends = assert_alike(vector, [made(**settings) for _ in range(3)], actions, stable)
-    assert sum(ends[end] for end in ends if any(end)) >= 3
-    assert ends[False, True] or ends[True, False]
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize("observation", ["landing", Pixels((24, 20), 2)])
-def test_vectors_of_single_environments_do_the_same(contact: str, observation: Any) -> None:
-    settings: dict[str, Any] = {"contact": contact, "observation": observation, **LANDINGS, "episode_steps": 120}
-    same: Any = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    native = JackInBoxVectorEnv(2, with_infos=True, **same, **settings)
-    sync = SyncVectorEnv([lambda: made(**settings)] * 2, **same)
-    stable = make_sb3_vec_env(2, with_infos=True, **settings)
-    dummy = DummyVecEnv([lambda: Monitor(made(**settings))] * 2)
-    for envs in (stable, dummy):
-        envs.seed(3)
-    assert_same(native.reset(seed=3)[0], sync.reset(seed=3)[0])
-    assert_same(stable.reset(), dummy.reset())
-    for action in drawn(native.single_action_space, 25, 2):
-        one, other = native.step(action), sync.step(action)
-        assert_same(one[:4], other[:4])
-        for name in ("state", "torque", "impacts", "impulse", "duration", "reward_centre"):
-            assert_same(one[4][name], np.asarray(other[4][name]), name)
-        *results, rows = stable.step(action)
-        *expected, others = dummy.step(action)
-        assert_same(results, expected)
-        for row, wanted in zip(rows, others, strict=True):
-            for info in (row, wanted):
-                info.get("episode", {}).pop("t", None)
-            assert_same({name: row[name] for name in wanted}, wanted)
-
-
-def test_a_rule_that_only_the_batch_follows_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings: dict[str, Any] = {"contact": "exact", "observation": "landing", **LANDINGS}
-    batch, alone = JackInBoxVectorEnv(1, **settings), made(**settings)
-    alone.unwrapped.repeat = alone.unwrapped.repeat._replace(max_contact_steps=0)  # type: ignore[attr-defined]
-    with pytest.raises(AssertionError):
-        assert_alike(batch, [alone], drawn(batch.single_action_space, 20, 1))
 
 
 @EVERY_MODEL
@@ -230,18 +132,19 @@ def ends_early(time: float) -> float:
 
 @pytest.mark.parametrize("limit", [60, 500])
 def test_a_drive_is_not_needed_after_the_last_step_of_a_decision(limit: int) -> None:
-    settings: dict[str, Any] = {
-        "contact": "exact", "scene": Scene(drive=Drive(force_x=ends_early)), "episode_steps": limit, **LANDINGS,
-    }  # fmt: skip
-    vector = JackInBoxVectorEnv(3, autoreset_mode="SAME_STEP", **settings)
-    alone: Any = made(**settings)
-    assert_alike(vector, [alone], np.full((4 if limit == 60 else 1, 3, 2), 0.1))
+    settings: dict[str, Any] = {"contact": "exact", "episode_steps": limit, **LANDINGS}
+    alike = Alike(settings, [Scene(drive=Drive(force_x=ends_early))], 3, [0])
+    alike.reset_some(np.ones(3, dtype=np.bool_), 4)
+    for _ in range(4 if limit == 60 else 1):
+        alike.step(random.Random(0))
     if limit == 500:  # the second decision needs it
-        before = vector.states, vector.times, alone.unwrapped.state
+        vector: Any = alike.batches[0]
+        alone: Any = alike.rows[0].env
+        before = vector.states, vector.times, alone.state
         for env, action in ((alone, [0.1, 0.1]), (vector, np.full((3, 2), 0.1))):
             with pytest.raises(ValueError, match="math domain error|expected a nonnegative input"):
                 env.step(action)
-        assert_same((vector.states, vector.times, alone.unwrapped.state), before)
+        assert_same((vector.states, vector.times, alone.state), before)
 
 
 def test_landing_features_foretell_a_free_flight() -> None:
@@ -341,9 +244,10 @@ def test_a_decision_of_many_steps_needs_no_more_memory(contact: str, observation
 def test_decisions_that_last_longer_than_drives_are_read_ahead_are_those_of_single_environments() -> None:
     drives = SHAKEN, Drive(force_y=lambda time: 3e4 * math.sin(4.0 * time)), TURNED
     settings: dict[str, Any] = {"contact": "exact", "action_repeat": 220}
-    batch = JackInBoxVectorEnv(3, scene=[Scene(drive=drive) for drive in drives], with_infos=True, **settings)
-    alone = [made(scene={"drive": drive}, **settings) for drive in drives]
-    assert_alike(batch, alone, drawn(batch.single_action_space, 5, 3))
+    alike = Alike(settings, [Scene(drive=drive) for drive in drives], 3, range(3))
+    alike.reset_some(np.ones(3, dtype=np.bool_), 4)
+    for number in range(5):
+        alike.step(random.Random(number))
 
 
 # -- films ------------------------------------------------------------------------------------------------------------

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
-from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -24,6 +21,7 @@ from jackbox_env.sb3 import make_sb3_vec_env
 from tests.batches.several import EVERY_MODEL
 
 Picture = NDArray[Any]
+
 FINER = 6  # points of a pixel along each side, of a picture by sampling
 # Angle of the box; the jack's centre on its axes [m] and its angle relative to it.
 POSES = [(0.0, 0.0, 0.0, 0.3), (0.4, 2.0, -1.0, 2.5), (-2.9, -3.5, 3.0, -1.2), (1.3, 0.5, 4.4, 4.0)]
@@ -128,39 +126,6 @@ def test_set_states_begins_only_the_pictures_of_the_chosen(contact: str) -> None
     np.testing.assert_array_equal(batch.observations[~chosen], seen[~chosen])
     np.testing.assert_array_equal(batch.observations[1, ..., 0], seen[1, ..., 1])
     np.testing.assert_array_equal(batch.observations[1, ..., 1], seen[1, ..., 1])
-
-
-# -- arrays, copies, threads -------------------------------------------------------------------------------------------
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize("duplicate", [lambda one: pickle.loads(pickle.dumps(one)), copy.deepcopy])
-def test_copies_go_on_alike_and_share_no_array(contact: str, duplicate: Callable[[Any], Any]) -> None:
-    pixels = Pixels((24, 24), 3)
-    single, batch = (
-        JackInBoxEnv(contact=contact, observation=pixels), JackInBoxVectorEnv(2, contact=contact, observation=pixels)
-    )  # fmt: skip
-    for env, action in ((single, 0.5), (batch, np.full((2, 1), 0.5))):
-        env.reset(seed=3)
-        env.step(action)
-        twin = duplicate(env)
-        for _ in range(3):
-            seen = env.step(action)[0]
-            np.testing.assert_array_equal(twin.step(action)[0], seen)
-            seen[:] = 7  # the caller's own
-
-
-def test_threads_do_not_change_pictures() -> None:
-    scenes = [Scene(jack_arm=0.5 + 0.01 * number) for number in range(70)]
-    batches = [
-        JackInBoxVectorEnv(70, contact="exact", scene=scenes, observation=Pixels((64, 50), 2), num_threads=threads)
-        for threads in (1, 3, None)
-    ]
-    for batch in batches:
-        batch.reset(seed=0)
-    seen = [[batch.step(np.full((70, 1), 0.4))[0] for _ in range(4)] for batch in batches]
-    for others in seen[1:]:
-        np.testing.assert_array_equal(others, seen[0])
 
 
 # -- anything that may come --------------------------------------------------------------------------------------------

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
-import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -14,10 +12,9 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
-from jackbox_env import Drive, JackInBoxEnv, Scene
+from jackbox_env import Drive, Scene
 from jackbox_env.mechanics import gaps
 from jackbox_env.simulators import CONTACT_MODELS
-from tests.states import inside
 
 make: Any = functools.partial(gym.make, "JackInBox-v0")
 
@@ -49,37 +46,6 @@ def test_long_arms_start_where_they_fit(arm: float, spread: float) -> None:
         if arm >= 6.0:
             assert state[5] == math.pi / 4
         env.step(None)
-
-
-@EVERY_MODEL
-def test_reset_to_a_state_and_time_returns_exactly_these(contact: str) -> None:
-    env, rng = JackInBoxEnv(contact=contact), np.random.default_rng(4)
-    for _ in range(100):
-        state, time = inside(Scene(), rng), rng.uniform(-5.0, 1e6)
-        _, info = env.reset(seed=0, options={"state": state, "time": time})
-        np.testing.assert_array_equal(info["state"], state)
-        assert info["time"] == time == env.time
-        env.step(0.0)
-    plain, info = env.reset(seed=3)
-    assert info["time"] == 0.0
-    np.testing.assert_array_equal(plain, env.reset(seed=3, options={"time": None, "state": None, "scene": None})[0])
-
-
-@EVERY_MODEL
-def test_the_same_actions_from_a_saved_state_give_the_same_future_bitwise(contact: str) -> None:
-    env, used = make(contact=contact), JackInBoxEnv(contact=contact)
-    actions = np.random.default_rng(6).uniform(-1, 1, (400, 1)).astype(np.float32)
-    bare: Any = env.unwrapped
-    env.reset(seed=2)
-    for action in actions[:150]:
-        env.step(action)
-    used.reset(seed=9)
-    used.set_state(bare.state, bare.time)
-    twins: list[Any] = [used, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    for action in actions[150:]:
-        seen = env.step(action)[0]
-        for twin in twins:
-            np.testing.assert_array_equal(twin.step(action)[0], seen)
 
 
 # -- construction ------------------------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ def of_stable_baselines(**settings: Any) -> Any:
     return subproc.SubprocVecEnv(made, start_method="spawn")
 
 
-@pytest.mark.parametrize("mode", ["sync", "async", "spawned"])
+@pytest.mark.parametrize("mode", ["async", "spawned"])
 def test_environments_side_by_side_equal_single_ones_bitwise(mode: Any) -> None:
     settings: dict[str, Any] = {"scene": Scene(gravity=3.0), "task": "rattle"}
     singles = [gym.make("JackInBox-v0", **settings) for _ in range(2)]

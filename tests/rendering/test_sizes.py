@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -59,28 +58,6 @@ def test_a_small_frame_has_no_letters_to_squint_at(width: int, lettered: bool, w
 
 
 # -- several environments ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("options", [{"contact": "exact"}, {"contact": "pymunk", "render_size": (80, 60), **BARE}])
-def test_each_environment_of_a_vector_has_the_frame_of_a_single_one(options: dict[str, Any]) -> None:
-    options, actions = {"render_mode": "rgb_array", **options}, np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3, 1))
-    several, stable = gym.make_vec("JackInBox-v0", num_envs=3, **options), make_sb3_vec_env(3, **options)
-    several.reset(seed=4)
-    stable.seed(4)
-    stable.reset()
-    for action in actions:
-        several.step(action)
-        stable.step(action)
-    frames: Any = several.render()
-    for number, image in enumerate(stable.get_images()):
-        single = gym.make("JackInBox-v0", **options)
-        single.reset(seed=4 + number)
-        for action in actions[:, number]:
-            single.step(action)
-        np.testing.assert_array_equal(frames[number], single.render())
-        np.testing.assert_array_equal(image, frames[number])
-    height, width, _ = frames[0].shape
-    assert stable.render().shape == (2 * height, 2 * width, 3)  # type: ignore[union-attr]
 
 
 def test_several_environments_without_a_render_mode_have_no_pictures() -> None:
