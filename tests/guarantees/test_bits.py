@@ -54,12 +54,21 @@ def test_every_kind_of_environment_does_the_same_whatever_is_called(contact: str
 
 
 @EVERY_MODEL
+def test_an_end_in_the_last_decision_is_no_truncation_to_stable_baselines(contact: str) -> None:
+    alike = Alike({"contact": contact, "task": FALL, "action_repeat": "bounce"}, [Scene()], 2, range(2), limit=1)
+    alike.reset_some(np.ones(2, dtype=np.bool_), 4)
+    for seed in range(3):
+        alike.step(random.Random(seed))
+    assert alike.counts["ends True True"] >= 4
+
+
+@EVERY_MODEL
 def test_one_ulp_of_a_start_would_be_seen(contact: str) -> None:
-    alike = Alike({"contact": contact}, [Scene()], 3, range(3))
-    alike.reset_some(np.ones(3, dtype=np.bool_), 4)
+    alike = Alike({"contact": contact}, [Scene()], 6, range(3))
+    alike.reset_some(np.ones(6, dtype=np.bool_), 4)
     states = alike.batches[0].states
     states[1, 3] = np.nextafter(states[1, 3], 9.0)
-    for batch in (*alike.batches, alike.stable.vector_env):
+    for batch in alike.batches:
         batch.set_states(states, 0.0)
     with pytest.raises(AssertionError, match="environment 1/4/state"):
         alike.step(random.Random(0))
