@@ -295,6 +295,3 @@ def test_later_changes_of_arrays_change_no_derivative() -> None:
     torques *= 2.0
     np.testing.assert_array_equal(lin.P, twin.P)
     assert lin.P[0, 0, 8, 0] == pytest.approx(-3e4 / 14400.0 * 0.02 / 400.0)
-
-
-# -- refusals ----------------------------------------------------------------------------------------------------------

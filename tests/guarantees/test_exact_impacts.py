@@ -79,6 +79,3 @@ def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -
     assert [hit for hit in run.impacts if hit.impulse > 1e-6] == []
     assert run.state[4] == pytest.approx(-0.5 * 9.81 * dt * dt, abs=1e-9)
     assert clearance(scene, run.state.tolist()) > -1e-9
-
-
-# -- limits ------------------------------------------------------------------------------------------------------------

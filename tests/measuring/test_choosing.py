@@ -157,6 +157,3 @@ def test_one_setting_keeps_the_bounds_in_every_scene() -> None:
 def test_a_scene_that_pymunk_does_not_solve_leaves_the_exact_model_for_all() -> None:
     scenes = [{}, {"jack_inertia": 1e-6}]
     assert cheapest(scenes, cases=2).setting == Setting("exact", None)
-
-
-# -- refusals ----------------------------------------------------------------------------------------------------------
