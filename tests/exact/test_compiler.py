@@ -12,10 +12,12 @@ from types import FunctionType
 from typing import Any
 
 import mpmath as mp
+import numba
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import TypingError
+from numba.core.registry import cpu_target
 
 from jackbox_env.envs.batches.threads import Threads, thread_count
 from jackbox_env.exact import compiler, pipelines, run
@@ -32,6 +34,12 @@ def test_arguments_that_would_be_read_as_another_type_are_refused(kind: type) ->
     scenes = arguments.scenes._replace(kinds=np.zeros(1, kind))
     with pytest.raises(TypingError):
         call.prepare(scenes, *arguments[1:-1])
+
+
+def test_packed_arguments_have_room() -> None:
+    context = cpu_target.target_context
+    for make in compiler._EXAMPLES.values():
+        assert context.get_abi_sizeof(context.get_value_type(numba.typeof(make()))) <= 8 * compiler.PACKED
 
 
 def plus(number: float, more: int) -> float:
