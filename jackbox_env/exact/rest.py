@@ -15,7 +15,8 @@ norm of M, that close no gap (Gauss's principle; Brogliato 2016, "Nonsmooth Mech
 Method: over a stretch of time the motion is a power series (``constrained.py``). The gaps of the other feet follow from
 it, so the search for the next impact has the same guarantee as in free flight. At the start of a stretch the state is
 projected: the held gaps towards 0, by ``ContactTolerances.resolution`` at most (1e-13 m, more far from the origin), and
-their rates to 0, by the smallest change in the norm of M. So gaps do not drift. The projection of the velocities cannot
+their rates to 0, by the smallest change in the norm of M. So gaps do not drift. A foot that starts outside stays as
+deep: to come nearer would renew the force that has just released it. The projection of the velocities cannot
 gain energy; that of the positions changes the energy by about the weight times the correction.
 Resolution: with loss, a foot is at rest if it would rise by ``contact.contact_resolution`` at most. That is
 ``ContactTolerances.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K
@@ -32,7 +33,7 @@ import numpy as np
 
 from jackbox_env.exact.compiler import called_later, is_compiled
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
-from jackbox_env.exact.contact import ContactTolerances, kick, record_impact, resolve
+from jackbox_env.exact.contact import ContactTolerances, deepest, kick, record_impact, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
     PUSH_X,
@@ -51,6 +52,7 @@ from jackbox_env.exact.search import (
     IMPACT,
     MOST_WORK,
     NO_IMPACT,
+    OUTSIDE,
     UNDECIDED,
     Event,
     Limits,
@@ -84,6 +86,7 @@ _DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of he
 _FAINT = 1e-9  # of the largest multiplier at held feet: a smaller acceleration counts as 0
 _PULL = 1e-12  # of the largest power of the forces in a stretch: a wall may pull that much before the foot is released
 _ROUNDED = 4e-16  # of L: rounding of a gap
+_FAR_OUT = 1000.0  # resolutions: rounding far from the origin leaves feet less deep
 _PATIENT = 1000.0  # evaluations of a force before its least step
 
 
@@ -251,10 +254,12 @@ def select_held(
             memory.held.order[size] = number
             size += 1
             held |= 1 << contacts.pairs[number]
+    outside = max(OUTSIDE * deepest(scene), _FAR_OUT * tolerances.resolution)
     for index in range(size):
         gap = contacts.gaps[memory.held.order[index]]
         memory.held.order[index] = contacts.pairs[memory.held.order[index]]
-        memory.held.targets[index] = math.copysign(max(abs(gap) - tolerances.resolution, 0.0), gap)
+        nearer = math.copysign(max(abs(gap) - tolerances.resolution, 0.0), gap)
+        memory.held.targets[index] = gap if gap < -outside else nearer
     for index in range(size):
         contacts.pairs[index] = memory.held.order[index]
     memory.held.holding = size

@@ -203,7 +203,7 @@ ALL = 15  # walls, as bits
 _TURNED = 0.25  # [rad] of the box's turn until the horizon, beyond which all feet are followed together
 _CLOSING = 4.0  # rate^2 / (K gap) beyond which a foot is about to arrive
 _SHORT = 2.0**-12  # of the horizon: below this step the feet are searched one by one
-_OUTSIDE = 2.5  # of ``deepest``: a foot that strikes from inside is less deep
+OUTSIDE = 2.5  # of ``deepest``: a foot that strikes from inside is less deep
 _DIP = 1e-3  # of the depth of a foot outside: how much deeper it may be between two gap evaluations
 _PATIENT = 10_000.0  # gap evaluations in a search for one foot's impact before it is followed as one outside
 
@@ -394,7 +394,7 @@ def may_rest(
 
 def is_outside(scene: SceneNumbers, memory: Workspace, limits: Limits, gap: float) -> bool:
     """Whether a foot is deeper than those that strike from inside, or the step takes too much work for their law."""
-    depth = max(_OUTSIDE * deepest(scene), 4.0 * limits.half_tolerance)
+    depth = max(OUTSIDE * deepest(scene), 4.0 * limits.half_tolerance)
     return gap < -depth or memory.evaluations > 0.5 * MOST_WORK
 
 
