@@ -46,6 +46,11 @@ class Past(NamedTuple):
         poses = np.concatenate([states[..., :RATES], self.poses], axis=1)
         return self._replace(poses=np.take_along_axis(poses, places[..., None], axis=1))
 
+    def later(self, states: Array) -> Past:
+        """That after control steps that all environments have made, to ``states``, shape (N, steps, 12)."""
+        poses = np.concatenate([self.poses, states[..., :RATES]], axis=1)
+        return self._replace(poses=poses[:, -self.pixels.stack :])
+
     def draw(self, rows: Array, numbers: Indices, frames: Any, threads: Threads) -> Any:
         """Draw the pictures of some environments, whose scenes have these ``rows`` of numbers, into their frames.
 

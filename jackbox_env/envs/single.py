@@ -415,8 +415,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             self._show(parts)
         self._impacts = None if made == 1 else whole.impacts
         if self._past is not None:
-            states = [part.state for part in parts][-self._past.pixels.stack :]
-            self._past = self._past.after(np.roll([states], 1, axis=1), np.array([len(states)]))
+            self._past = self._past.later(np.array([[part.state for part in parts]]))
             whole = whole._replace(seen=self._pictures(self._past))
         return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, made)
 
