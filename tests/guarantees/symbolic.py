@@ -139,11 +139,11 @@ class Derivation:
         slope = sp.Matrix(sp.symbols("phi_1:7", real=True))
         at_after = dict(zip(RATES, AFTER, strict=True))
         jump = self.momenta.subs(at_after) - self.momenta - IMPULSE * slope
+        (after,) = sp.solve([*jump], [*AFTER], dict=True)
         gained = sp.expand(self.hamiltonian.subs(at_after) - self.hamiltonian)
-        roots = sp.solve([*jump, gained], [*AFTER, IMPULSE], dict=True)
-        (root,) = (each for each in roots if each[IMPULSE] != 0)  # the other one is no impact at all
+        (impulse,) = (root for root in sp.solve(gained.subs(after), IMPULSE) if root != 0)  # 0 is no impact at all
         back = dict(zip(slope, self.gradient, strict=True))
-        return sp.Matrix([root[rate] for rate in AFTER]).subs(back), root[IMPULSE].subs(back)
+        return AFTER.subs(after).subs(IMPULSE, impulse).subs(back), impulse.subs(back)
 
     @cached_property
     def _numbers(self) -> Callable[..., list[Any]]:
