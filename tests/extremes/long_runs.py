@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.mechanics import energy
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import clearance
-from tests.extremes.measures import DEEPEST, angular_momentum, momentum, momentum_scale, started
+from tests.extremes.measures import DEEPEST, angular_momentum, momentum, momentum_scale, started, steps
 from tests.extremes.page import MILLIONS, Bound, Finding, case, within
 from tests.states import WEIGHTLESS, Array, inside
 
@@ -33,10 +32,6 @@ def outside(scene: Scene, states: Array) -> float:
     reach = scene.jack_arm * np.maximum(np.abs(np.cos(turned)), np.abs(np.sin(turned)))
     furthest = np.maximum(np.abs(cosine * x + sine * y), np.abs(cosine * y - sine * x))
     return float((furthest + reach).max()) - scene.box_half_width
-
-
-def steps(quick: int, full: int) -> int:
-    return full if "JACKBOX_EXTREMES" in os.environ else quick
 
 
 def memory() -> tuple[int, int]:
@@ -56,7 +51,7 @@ def nothing_gets_out_and_no_memory_grows_over_many_episodes(contact: str) -> Fin
     count, rng, deepest, ended, before = TOGETHER[contact], np.random.default_rng(0), 0.0, 0, (0, 0)
     env = JackInBoxVectorEnv(count, contact=contact, autoreset_mode="SAME_STEP")
     env.reset(seed=0)
-    total = steps(100_000, 10_000_000) if contact == "pymunk" else steps(5_000_000, 100_000_000)
+    total = steps(40_000, 10_000_000) if contact == "pymunk" else steps(2_048_000, 100_000_000)
     rounds = math.ceil(total / count)
     for number in range(rounds):
         if number == rounds // 10:
@@ -77,7 +72,7 @@ def nothing_drifts_over_a_long_weightless_episode(contact: str) -> Finding:
     # Each model does so about k = 1000 times: pymunk in its 64 iterations, with some ten operations for each of its two
     # bodies. A bias would show: it grows with the impacts, and after 1e7 steps it would be 25 times as large.
     scene, state = WEIGHTLESS, inside(WEIGHTLESS, np.random.default_rng(14), speed=3.0)
-    total, count = scene.box_mass + scene.jack_mass, steps(100_000, 10_000_000)
+    total, count = scene.box_mass + scene.jack_mass, steps(30_000, 10_000_000)
     drift = momentum(scene, state) / total - np.array([1e-3, 0.0])
     state[6:8] -= drift
     state[9:11] -= drift

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from itertools import groupby
 from typing import NamedTuple
@@ -16,6 +17,11 @@ from tests.extremes.page import Bound, Finding, Measure, within
 from tests.states import Array
 
 DEEPEST = {"pymunk": 1.0, "exact": 1e-9}  # a foot outside at a step's end [m]: after a substep, and rounding
+
+
+def steps(quick: int, full: int) -> int:
+    """All of a long run in ``python -m tests.extremes``, else a few."""
+    return full if "JACKBOX_EXTREMES" in os.environ else quick
 
 
 def started(scene: Scene, contact: str, state: Array | list[float], time: float = 0.0) -> Simulator:
