@@ -96,7 +96,8 @@ reference: .venv/ready
 # Random cases for hours, new ones in each round of about 40 minutes, until an invariant fails.
 soak: .venv/ready
 	@for round in $$(seq 12); do \
-		HYPOTHESIS_PROFILE=hours $(PYTEST) tests/invariants tests/guarantees/test_bits.py || exit 1; done
+		HYPOTHESIS_PROFILE=hours $(PYTEST) --whole tests/invariants && \
+		HYPOTHESIS_PROFILE=hours $(PYTEST) tests/guarantees/test_bits.py || exit 1; done
 
 extremes: .venv/ready
 	@$(BIN)/python -m tests.extremes

@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 import random
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,14 +23,16 @@ from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.invariants.cases import Case, HypothesisDraw, draw_case
 from tests.invariants.invariants import assert_contained, examine, simulator_of, stepped
 
+Cases = Callable[[int], int]
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 pytestmark = pytest.mark.timeout(0 if settings.default.max_examples > 1000 else 300)  # type: ignore[union-attr]
 
 
 @EVERY_MODEL
-def test_every_invariant_holds_in_scenes_and_under_actions_of_any_kind(contact: str) -> None:
+def test_every_invariant_holds_in_scenes_and_under_actions_of_any_kind(contact: str, cases: Cases) -> None:
     seen: Counter[str] = Counter()
 
+    @settings(max_examples=cases(settings.default.max_examples))  # type: ignore[union-attr]
     @given(st.data())
     def every_invariant_holds(data: st.DataObject) -> None:
         counts = examine(draw_case(HypothesisDraw(data.draw), contact))
@@ -43,10 +46,10 @@ def test_every_invariant_holds_in_scenes_and_under_actions_of_any_kind(contact: 
 
 
 @EVERY_MODEL
-def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str) -> None:
+def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str, cases: Cases) -> None:
     seen: Counter[str] = Counter()
 
-    @settings(max_examples=settings.default.max_examples // 2)  # type: ignore[union-attr]
+    @settings(max_examples=cases(settings.default.max_examples))  # type: ignore[union-attr]
     @given(st.data())
     def stays_or_is_refused(data: st.DataObject) -> None:
         draw = HypothesisDraw(data.draw)
