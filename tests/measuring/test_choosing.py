@@ -91,7 +91,7 @@ def test_tighter_bounds_choose_more_substeps_of_pymunk() -> None:
 
 def test_the_exact_model_is_chosen_where_nothing_else_will_do() -> None:
     for arguments in ({"scene": {"restitution": 0.5}, "first_impact_error": 1e-9}, {"penetration": 1e-9}):
-        assert cheapest(**arguments, cases=2).setting == Setting("exact", None)
+        assert cheapest(**arguments, cases=2, steps=80).setting == Setting("exact", None)
 
 
 def test_of_two_that_will_do_the_one_that_takes_less_time_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:

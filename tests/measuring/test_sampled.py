@@ -129,7 +129,7 @@ def test_simulate_plays_the_torques_that_fit_reads(tmp_path: Path, monkeypatch: 
 def test_kinds_of_torques_are_not_compared_if_the_jack_was_never_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    states, samples = measured("sampled")
+    states, samples = measured("sampled", 1.0)
     monkeypatch.chdir(tmp_path)
     rows = np.column_stack([np.arange(len(states)) / RATE, states[:, :3], samples])
     np.savetxt("box.csv", rows, delimiter=",", header=",".join(["time", *STATE_NAMES[:3], "torque"]))
