@@ -24,7 +24,6 @@ from jackbox_env.model.states import OMEGA_BOX
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
 from tests.batches.several import assert_same
-from tests.environment.test_nouns import present
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
@@ -68,6 +67,12 @@ def test_an_index_counts_from_either_end_and_past_it_is_an_error(read: str) -> N
         else:
             assert env.step(k / Scene().torque_limit)[1] == expected
     assert 3 <= wrong <= 7
+
+
+def present(env: Any) -> Any:
+    if isinstance(env, JackInBoxVectorEnv):
+        return env.states, env.times, [env.impacts(number) for number in range(env.num_envs)]
+    return env.state, env.time, env.impacts
 
 
 def past(rate: float) -> Any:
