@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import importlib
+import io
 import json
 import re
 import signal
@@ -157,22 +158,36 @@ def test_ctrl_c_ends_a_replay_at_the_next_step(monkeypatch: pytest.MonkeyPatch) 
         (text()[:-1], 2, "a game must be a JSON object, got .*"),
     ],
 )
-def test_the_command_compares(shared: str, status: int, said: str) -> None:
+def test_the_command_compares(
+    shared: str, status: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     for argument, typed in ((shared, ""), ("-", shared)):
-        command = [sys.executable, "-m", "jackbox_env", "replay", argument]
-        done = subprocess.run(command, input=typed, capture_output=True, text=True, check=False)
-        assert done.returncode == status, done.stderr
-        assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode())))
+        out, errors = replayed(monkeypatch, capsys, status, argument)
+        assert re.fullmatch(f"{said}\n", errors if status == 2 else out)
 
 
-def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
-    path = tmp_path / "game.csv"
-    command = [sys.executable, "-m", "jackbox_env", "replay", text(digest="0" * 16), "--csv", str(path)]
-    done, again = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2))
-    assert (done.returncode, again.returncode) == (1, 2)
+def replayed(patch: pytest.MonkeyPatch, capsys: Any, status: int, *arguments: str) -> tuple[str, str]:
+    """What the command prints, on standard output and as errors."""
+    patch.setattr(sys, "argv", ["jackbox replay", *arguments])
+    try:
+        ended = replay.main()
+    except SystemExit as end:
+        ended = end.code
+    assert (ended or 0) == status
+    return tuple(capsys.readouterr())
+
+
+def test_the_command_writes_what_was_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, differing = tmp_path / "game.csv", text(digest="0" * 16)
+    command = [sys.executable, "-m", "jackbox_env", "replay", "-", "--csv", str(path)]
+    done = subprocess.run(command, input=differing, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
     assert done.stdout.endswith(f"it differs from step 600 on\n{path} has 599 steps\n")
     refusal = f"{path} exists, and is never overwritten: choose another place\n"
-    assert (again.stdout, again.stderr) == ("", refusal)
+    assert replayed(monkeypatch, capsys, 2, differing, "--csv", str(path)) == ("", refusal)
     with path.open() as file:
         header, *lines, last = csv.reader(file)
     states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
