@@ -23,7 +23,8 @@ from scripts.recipes.run import HERE, RECIPES
 from scripts.studies import readme
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy")
+RENDERER = "jackbox_env.render.renderer"
+HEAVY = ("pymunk", "pygame", "numba", "torch", "stable_baselines3", "matplotlib", "scipy", RENDERER)
 
 
 def run(*words: str, cwd: Path | None = None) -> str:
@@ -31,19 +32,25 @@ def run(*words: str, cwd: Path | None = None) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True, cwd=cwd).stdout.strip()
 
 
-@pytest.mark.parametrize(
-    ("code", "loaded"),
-    [
-        ("", []),
-        ("e = gymnasium.make('JackInBox-v0'); e.reset(); e.step(None)", ["pymunk"]),
-        ("e = gymnasium.make_vec('JackInBox-v0', 2, contact='exact'); e.reset(); e.step(None)", ["numba"]),
-    ],
-)
-def test_nothing_heavy_is_loaded_that_is_not_stepped(code: str, loaded: list[str]) -> None:
-    names = run(
-        "-c", f"import sys, gymnasium, jackbox_env\n{code}\nprint([name for name in {HEAVY} if name in sys.modules])"
-    )
-    assert names.replace(", 'scipy'", "") == str(loaded)  # numba itself tries scipy
+LOADED = f"""
+import sys, gymnasium, jackbox_env
+def loaded():
+    print(sorted(set({HEAVY}).intersection(sys.modules)))
+def stepped(**settings):
+    for env in (gymnasium.make("JackInBox-v0", **settings), gymnasium.make_vec("JackInBox-v0", 2, **settings)):
+        env.reset(seed=0)
+        env.step(None)
+    loaded()
+loaded()
+stepped(contact=sys.argv[1])
+stepped(contact=sys.argv[1], render_mode="rgb_array")
+"""
+
+
+@pytest.mark.parametrize(("contact", "engine"), [("pymunk", "pymunk"), ("exact", "numba")])
+def test_nothing_heavy_is_loaded_that_is_not_stepped_or_drawn(contact: str, engine: str) -> None:
+    names = run("-c", LOADED, contact).replace(", 'scipy'", "")  # numba itself tries scipy
+    assert names.splitlines() == [str(sorted(loaded)) for loaded in ([], [engine], [engine, "pygame", RENDERER])]
 
 
 def test_every_public_name_is_there() -> None:
