@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import re
-import runpy
 import shlex
 import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,9 +19,9 @@ import pytest
 
 from agents.policies.registry import SCRIPTED
 from agents.settings import EnvSettings
+from tests.script import ROOT, script
 from tests.states import load
 
-ROOT = Path(__file__).parents[2]
 SCRIPTS = {
     path.relative_to(ROOT / "scripts").with_suffix("").as_posix(): path.read_text(encoding="utf-8")
     for path in sorted((ROOT / "scripts").rglob("*.py"))
@@ -36,27 +33,6 @@ MEANINGS = {  # of options, in every command that has them
     "--dt": "duration of a control step",
 }
 COMMANDS = [name for name, text in SCRIPTS.items() if "__main__" in text]
-
-
-class Done(NamedTuple):
-    stdout: str
-    stderr: str
-
-
-def script(name: str, *arguments: str, cwd: Path, status: int = 0) -> Done:
-    """Run a command in this process: seconds faster, because the libraries are loaded."""
-    out, errors = io.StringIO(), io.StringIO()
-    file = str(ROOT / "scripts" / f"{name}.py")
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(errors):
-        patch.chdir(cwd)
-        patch.setattr(sys, "argv", [file, *arguments])
-        ended = 0
-        try:
-            runpy.run_path(file, run_name="__main__")
-        except SystemExit as end:
-            ended = end.code  # type: ignore[assignment]
-    assert (ended or 0) == status, errors.getvalue()
-    return Done(out.getvalue(), errors.getvalue())
 
 
 # -- command lines -----------------------------------------------------------------------------------------------------

@@ -11,33 +11,23 @@ import numpy as np
 import pytest
 
 from jackbox_env.commands import check, play
-from jackbox_env.commands.main import main
 from jackbox_env.model.states import Array
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from jackbox_env.tools.command_line import called, command_line
+from tests.script import jackbox
 
 
-def test_it_names_its_commands_and_refuses_another(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def printed(*arguments: str, status: int = 0) -> str:
-        monkeypatch.setattr(sys, "argv", ["jackbox", *arguments])
-        monkeypatch.setattr(sys, "path", [*sys.path])
-        with pytest.raises(SystemExit) as ended:
-            sys.exit(main())  # type: ignore[func-returns-value]
-        assert (ended.value.code or 0) == status
-        return "".join(capsys.readouterr())
-
-    refused = printed("juggle", status=2)
+def test_it_names_its_commands_and_refuses_another(tmp_path: Path) -> None:
+    refused = jackbox("juggle", cwd=tmp_path, status=2).stderr
     assert "'juggle'" in refused
     for arguments in ([], ["--help"]):
-        out = printed(*arguments)
+        out = jackbox(*arguments, cwd=tmp_path).stdout
         for name in ("simulate", "play", "check", "demo", "train", "evaluate", "export"):
             assert f"\n  {name} " in out
             assert name in refused
-    assert "usage: jackbox evaluate" in printed("evaluate", "--help")
+    assert "usage: jackbox evaluate" in jackbox("evaluate", "--help", cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize(

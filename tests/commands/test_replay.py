@@ -32,6 +32,7 @@ from jackbox_env.recording import game
 from jackbox_env.recording.game import read_game, replay_game, write_game
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
+from tests.script import jackbox
 
 ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7, "torque_limit": 60000.0, "box_mass": 500.0}
@@ -159,35 +160,22 @@ def test_ctrl_c_ends_a_replay_at_the_next_step(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_the_command_compares(
-    shared: str, status: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    shared: str, status: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for argument, typed in ((shared, ""), ("-", shared)):
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode())))
-        out, errors = replayed(monkeypatch, capsys, status, argument)
-        assert re.fullmatch(f"{said}\n", errors if status == 2 else out)
+        done = jackbox("replay", argument, cwd=tmp_path, status=status)
+        assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
 
 
-def replayed(patch: pytest.MonkeyPatch, capsys: Any, status: int, *arguments: str) -> tuple[str, str]:
-    """What the command prints, on standard output and as errors."""
-    patch.setattr(sys, "argv", ["jackbox replay", *arguments])
-    try:
-        ended = replay.main()
-    except SystemExit as end:
-        ended = end.code
-    assert (ended or 0) == status
-    return tuple(capsys.readouterr())
-
-
-def test_the_command_writes_what_was_played(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, differing = tmp_path / "game.csv", text(digest="0" * 16)
-    command = [sys.executable, "-m", "jackbox_env", "replay", "-", "--csv", str(path)]
-    done = subprocess.run(command, input=differing, capture_output=True, text=True, check=False)
+def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
+    path = tmp_path / "game.csv"
+    words = ["replay", text(digest="0" * 16), "--csv", str(path)]
+    done = subprocess.run([sys.executable, "-m", "jackbox_env", *words], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stdout.endswith(f"it differs from step 600 on\n{path} has 599 steps\n")
     refusal = f"{path} exists, and is never overwritten: choose another place\n"
-    assert replayed(monkeypatch, capsys, 2, differing, "--csv", str(path)) == ("", refusal)
+    assert jackbox(*words, cwd=tmp_path, status=2) == ("", refusal)
     with path.open() as file:
         header, *lines, last = csv.reader(file)
     states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
