@@ -9,8 +9,8 @@ runs/          the trainings' run folders
 lock           locked by the process that uses the folder
 
 A trial is its settings. Its work is a function from settings to a result; both are plain JSON. A runner calls the work
-for each trial and yields the trials as they finish, in any order: in this process (:func:`in_turn`), on this machine's
-cores (:func:`on_cores`) or on a cluster (:mod:`agents.sweep_ray`).
+for each trial and yields the trials as they finish, in any order: in this process, on this machine's cores
+(:mod:`agents.runners`) or on a cluster (:mod:`agents.sweep_ray`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,11 @@ import io
 import json
 import os
 import shutil
-import signal
 import sys
-import threading
-import traceback
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, fields
-from functools import cache, partial
+from functools import cache
 from itertools import product
-from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,7 +35,6 @@ from tqdm import tqdm
 from agents.evaluation.returns import evaluate
 from agents.files import (
     DamagedFileError,
-    first_line,
     locked,
     parsing,
     read_json,
@@ -49,6 +42,7 @@ from agents.files import (
 )
 from agents.policies.registry import find_policy, is_function, runs_code, with_chosen_env
 from agents.policies.scripted import PolicyWithEnv
+from agents.runners import Finished, Runner, Work
 from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
 from agents.settings import EPISODE_STEPS, LENGTHS, NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
 from agents.training.models import make_vec_env
@@ -59,7 +53,6 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
 
 SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _ROOT = Path(__file__).parents[1]
 _ENV, _TRAIN = ([part.name for part in fields(kind)] for kind in (EnvSettings, TrainSettings))
 
@@ -70,82 +63,6 @@ class Code(NamedTuple):
     texts: dict[str, str]  # of files, by path
     names: tuple[str, ...] = ()  # of objects and functions
     trust: bool = False  # also pickled models, and objects that run folders name
-
-
-class Finished(NamedTuple):
-    """A finished trial: a line of the log."""
-
-    settings: dict[str, Any]
-    result: dict[str, Any] | None = None  # None if it failed
-    error: str | None = None  # why it failed, in one line
-    details: str = ""  # where it failed: the traceback
-
-
-Trials = Iterable[dict[str, Any]]
-Work = Callable[[dict[str, Any]], dict[str, Any]]
-Results = Generator[Finished, None, None]
-Runner = Callable[[Trials, Work], Results]
-
-
-# -- runners -----------------------------------------------------------------------------------------------------------
-
-
-def attempt(work: Work, settings: dict[str, Any]) -> Finished:
-    """Run a trial in this process; an exception becomes its error."""
-    try:
-        return Finished(settings, work(settings))
-    except Exception as error:
-        return Finished(settings, None, first_line(error), traceback.format_exc())
-
-
-def in_turn(trials: Trials, work: Work) -> Results:
-    """Run trials in this process, one after the other."""
-    return (attempt(work, settings) for settings in trials)
-
-
-def on_cores(workers: int, trials: Trials, work: Work) -> Results:
-    """Run trials in a number of processes of this machine, each in one thread.
-
-    Each process has its own executor, so if it dies, only its trial fails. Closing the iterator ends the processes, and
-    so does the end of this process, even by SIGKILL.
-    """
-    os.environ.update(ONE_THREAD)  # for the new processes; this one has loaded numpy already
-    new, before = partial(ProcessPoolExecutor, 1, get_context("spawn"), _end_with_parent), active_children()
-    waiting, idle = iter(trials), [new() for _ in range(workers)]
-    running = dict[Future[Finished], tuple[dict[str, Any], ProcessPoolExecutor]]()
-    try:
-        while True:
-            while idle and (settings := next(waiting, None)) is not None:
-                pool = idle.pop()
-                running[pool.submit(attempt, work, settings)] = settings, pool
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                settings, pool = running.pop(future)
-                try:
-                    done = future.result()
-                except Exception as error:  # its process has ended, or the work could not be sent
-                    done, pool = Finished(settings, error=first_line(error)), new()
-                idle.append(pool)
-                yield done
-    finally:
-        for process in active_children():
-            if process not in before:
-                process.kill()
-        for pool in (*idle, *(pool for _, pool in running.values())):
-            pool.shutdown()
-
-
-def _end_with_parent() -> None:
-    """Make a worker end with its parent, however that ends, and not by Ctrl-C."""
-
-    def end() -> None:
-        parent_process().join()  # type: ignore[union-attr]
-        os._exit(1)
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it; idle, it would print a traceback
-    tqdm.set_lock(threading.RLock())  # one for many processes would outlive a worker that is killed
-    threading.Thread(target=end, daemon=True).start()
 
 
 # -- the folder --------------------------------------------------------------------------------------------------------

@@ -16,19 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.files import first_line
-from agents.sweep import (
-    ONE_THREAD,
-    Finished,
-    Results,
-    Runner,
-    Trials,
-    Work,
-    attempt,
-    differing,
-    in_turn,
-    made_with,
-    on_cores,
-)
+from agents.runners import ONE_THREAD, Finished, Results, Runner, Trials, Work, attempt, in_turn, on_cores
+from agents.sweep import differing, made_with
 from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.tools import checks as check
 

@@ -17,7 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from agents.sweep import TABLE, Runner, Work, carry_out, in_turn, new_sweep, read_sweep
+from agents.runners import Runner, Work, in_turn
+from agents.sweep import TABLE, carry_out, new_sweep, read_sweep
 from agents.sweep_ray import runner_for
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line

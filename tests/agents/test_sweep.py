@@ -9,8 +9,10 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
+from itertools import islice
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
@@ -18,47 +20,26 @@ from typing import Any
 import pytest
 from stable_baselines3 import PPO
 
-from agents import sweep
+from agents import sweep, user_code
 from agents.evaluation.returns import evaluate
 from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
+from agents.runners import Results, Runner, Trials, Work, in_turn, on_cores
 from agents.settings import NOUNS, EnvSettings
 from agents.sweep import (
     LOG,
     RUNS,
     TABLE,
     Code,
-    Runner,
-    Work,
     carry_out,
-    in_turn,
     new_sweep,
-    on_cores,
     read_sweep,
 )
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
 from tests.agents.test_commands import ROOT, script
-
-GRID = [{"name": name, "number": number} for name in ("one", "other") for number in range(5)]
-
-
-def shares(settings: dict[str, Any]) -> dict[str, Any]:
-    """A trial that is instant, with floats that need all their digits."""
-    return {"share": (settings["number"] + len(settings["name"])) / 7.0, "list": [1, settings["name"]]}
-
-
-def fragile(notes: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    """The same, but at first one trial fails, and another kills its process."""
-    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"  # which nobody else sets
-    note = notes / f"{settings['name']} {settings['number']}"
-    if settings["number"] == 2 and not note.exists():
-        note.touch()
-        if settings["name"] == "one":
-            os.kill(os.getpid(), signal.SIGKILL)
-        raise ValueError("number must not be 2\nthe first time")
-    return shares(settings)
+from tests.agents.trials import GRID, fragile, shares
 
 
 def carried_out(folder: Path, work: Work = shares, runner: Runner = in_turn) -> bytes:
@@ -101,29 +82,24 @@ def test_finished_trials_are_not_run_again_and_lines_that_a_kill_cut_short_are(t
     assert asked == [*GRID[:7], *GRID[5:]]
 
 
-def test_a_process_that_is_killed_and_a_trial_that_fails_stop_no_other(tmp_path: Path) -> None:
-    work, folder = partial(fragile, tmp_path), tmp_path / "sweep"
-    carried_out(folder, work, partial(on_cores, 1))
+def test_a_killed_process_and_a_failing_trial_stop_no_other_and_an_interruption_waits_for_none(tmp_path: Path) -> None:
+    work, folder, before = partial(fragile, tmp_path), tmp_path / "sweep", active_children()
+
+    def interrupted(trials: Trials, work: Work) -> Results:
+        with closing(on_cores(2, trials, work)) as results:
+            yield from islice(results, 9)
+            assert len(active_children()) == len(before) + 2  # one of them hangs
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        carried_out(folder, work, interrupted)
+    assert active_children() == before
     errors = [row["error"] for row in rows_of(folder)]
-    assert errors[2].startswith("BrokenProcessPool")
-    assert errors[7] == "ValueError: number must not be 2"
-    assert errors.count("") == 8
+    assert errors[1].startswith("BrokenProcessPool")
+    assert errors[6] == "ValueError: number must not be 2"
+    assert errors.count("") == 7
     assert (folder / LOG).read_text().count("in fragile") == 1
     assert carried_out(folder, work) == carried_out(tmp_path / "whole")
-
-
-def hanging(settings: dict[str, Any]) -> dict[str, Any]:
-    """The same, but only the first trial of each name finishes soon."""
-    time.sleep(1000.0 * settings["number"])
-    return shares(settings)
-
-
-def test_an_interruption_does_not_wait_for_trials_under_way() -> None:
-    before, results = active_children(), on_cores(2, GRID, hanging)
-    assert next(results).result == shares(GRID[0])
-    assert len(active_children()) == len(before) + 2
-    results.close()
-    assert active_children() == before
 
 
 def test_folders_are_not_shared_or_continued_by_other_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,6 +116,7 @@ def test_folders_are_not_shared_or_continued_by_other_code(tmp_path: Path, monke
 
 
 FEW = ["--policy", "chirp", "level", "--setting", "balanced", "exact", "--scene", "{}", '{"box_mass": 0.01}']
+
 FEW += ["--seeds", "3", "--episodes", "2", "--no-progress"]
 
 
@@ -198,17 +175,25 @@ def back(observations):
 def level(observations):
     return -observations[:, 5:6]
 """
+
 SMALL = asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256))
+
 FIXED = {*asdict(EnvSettings()), *NOUNS, "seed", "torch_threads"}
+
+SEEN = {"fidelity": "coarse", "observation": "mine.py:angle", "action_repeat": 5}
+
 VARIED = {name: [value] for name, value in SMALL.items() if name not in FIXED}
 
 
-def test_users_objects_and_functions_run_and_resume_with_the_text_that_they_had(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [[], pytest.param(["--workers", "1"], marks=pytest.mark.slow)])
+def test_users_objects_and_functions_run_and_resume_with_the_text_that_they_had(
+    workers: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     code, table = tmp_path / "mine.py", tmp_path / "s" / TABLE
     code.write_text(MINE.format(value=1.0))
-    users = ["--task", "mine.py:task", "--setting", json.dumps({"observation": "mine.py:angle", "action_repeat": 5})]
+    users = ["--task", "mine.py:task", "--setting", json.dumps(SEEN)]
     users += ["--episodes", "2", "--no-progress", "--folder", "s"]
-    for grid in (["--train", json.dumps(VARIED | {"epochs": [1, 2]})], ["--policy", "mine.py:back"]):
+    for grid in (["--train", json.dumps(VARIED)], ["--policy", "mine.py:back"]):
         script("sweep", *grid, *users, cwd=tmp_path)
         before, (row, *_) = table.read_bytes(), rows_of(tmp_path / "s")
         assert (row["task"], row["observation"], row["error"]) == ("mine.py:task", "mine.py:angle", "")
@@ -216,7 +201,8 @@ def test_users_objects_and_functions_run_and_resume_with_the_text_that_they_had(
         (tmp_path / "s" / LOG).unlink()
         said = script("sweep", "--resume", "s", cwd=tmp_path, status=2).stderr
         assert "s runs code ('mine.py:" in said
-        script("sweep", "--resume", "s", "--trust", "--no-progress", "--workers", "1", cwd=tmp_path)
+        monkeypatch.setattr(user_code, "_loaded", {})  # as in a new process
+        script("sweep", "--resume", "s", "--trust", "--no-progress", *workers, cwd=tmp_path)
         assert table.read_bytes() == before
         (tmp_path / "s").rename(tmp_path / f"{grid[0]} ended")
         code.write_text(MINE.format(value=1.0))

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from agents.sweep import TABLE, Code, carry_out, code_named, grid, in_turn, new_sweep, run_trial
+from agents.runners import in_turn
+from agents.sweep import TABLE, Code, carry_out, code_named, grid, new_sweep, run_trial
 from agents.sweep_ray import runner_for
 from agents.user_code import texts_of
 from jackbox_env.exact import compiler

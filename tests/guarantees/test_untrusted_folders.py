@@ -21,9 +21,10 @@ import pytest
 from agents.files import LOCK, unpacked
 from agents.policies.network import WEIGHTS, read_policy
 from agents.policies.registry import find_policy
+from agents.runners import in_turn
 from agents.runs import EVALUATIONS, read_settings
 from agents.settings import EnvSettings, TrainSettings
-from agents.sweep import LOG, SWEEP, TABLE, carry_out, in_turn, new_sweep, read_sweep, run_trial
+from agents.sweep import LOG, SWEEP, TABLE, carry_out, new_sweep, read_sweep, run_trial
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
 

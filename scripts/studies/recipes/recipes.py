@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.sweep import ONE_THREAD
+from agents.runners import ONE_THREAD
 from jackbox_env.model.tasks import TASKS
 from scripts.recipes.run import HERE
 from scripts.studies import study
