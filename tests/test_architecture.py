@@ -32,7 +32,7 @@ ORDER = """
     measure
     commands
     __main__
-    agents.files agents.user_code agents.settings agents.runs
+    agents.files agents.user_code agents.settings agents.runs agents.runners
     agents.policies
     agents.training
     agents.evaluation
@@ -104,44 +104,6 @@ def _circle(sources: dict[str, Path]) -> list[str]:
     except CycleError as error:
         return list(error.args[1])
     return []
-
-
-def _rooms(sources: dict[str, Path]) -> dict[str, set[str]]:
-    """The rooms, packages and loose files, and those that each imports."""
-    rooms = dict[str, set[str]]()
-    for name, imported in _graph(sources).items():
-        room = ".".join(name.split(".")[:2])
-        rooms.setdefault(room, set()).update(".".join(one.split(".")[:2]) for one in imported)
-        rooms[room].discard(room)
-    return rooms
-
-
-def summary(package: str) -> str:
-    """Numbers of rooms, floors and arrows of a package, and of the files within each of its packages."""
-    lines = []
-    for label, rooms in {
-        package: {
-            room: {one for one in others if one.startswith(package)}
-            for room, others in _rooms(_sources()).items()
-            if room.startswith(f"{package}.")
-        },
-        **{
-            folder: {
-                name: {one for one in others if one.startswith(f"{folder}.")}
-                for name, others in _graph(_sources()).items()
-                if name.startswith(f"{folder}.")
-            }
-            for folder in sorted(_rooms(_sources()))
-            if folder.startswith(f"{package}.")
-        },
-    }.items():
-        floors = dict[str, int]()
-        for room in TopologicalSorter(rooms).static_order():
-            floors[room] = 1 + max((floors[one] for one in rooms[room]), default=0)
-        if len(rooms) > 1:
-            arrows = sum(map(len, rooms.values()))
-            lines.append(f"{label:<26} {len(rooms):>3} rooms {max(floors.values()):>3} floors {arrows:>4} arrows")
-    return "\n".join(lines)
 
 
 def test_every_name_of_the_order_is_a_module() -> None:
@@ -296,7 +258,3 @@ def test_a_retired_word_is_seen(tmp_path: Path, line: str) -> None:
     assert name.startswith(f"{tmp_path.name}/bad.py:3: ")
     (tmp_path / "bad.py").write_text("foundation = other.kept = given(own=0)")
     assert _retired(tmp_path) == []
-
-
-if __name__ == "__main__":
-    print(summary("jackbox_env"), summary("agents"), sep="\n")

@@ -126,10 +126,11 @@ def test_an_unfinished_training_is_resumed_and_a_finished_one_stays(run: Path, t
     assert (run / "model.zip").stat().st_mtime_ns == before
     with pytest.raises(ValueError, match="is a run of other settings: move it away, or choose another folder"):
         training.trained_in(run, replace(TINY, seed=5), progress=False)
-    training.trained_in(tmp_path / "new", TINY, progress=False)
+    short = replace(TINY, total_steps=512)
+    training.trained_in(tmp_path / "new", short, progress=False)
     assert (tmp_path / "new" / "model.zip").is_file()
     (tmp_path / "new" / "model.zip").unlink()  # as if it had been interrupted
-    training.trained_in(tmp_path / "new", TINY, progress=False)
+    training.trained_in(tmp_path / "new", short, progress=False)
     assert (tmp_path / "new" / "model.zip").is_file()
 
 
