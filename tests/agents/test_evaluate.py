@@ -18,9 +18,9 @@ from agents.settings import PER_POLICY, EnvSettings
 from agents.training.models import derived_seed
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from jackbox_env.simulators.fidelity import KEYWORDS
-from tests.agents.test_commands import script
 from tests.agents.test_sweep import MINE
 from tests.commands.test_samples import data_of
+from tests.script import script
 
 
 def test_it_writes_an_episode_of_each_policy_as_a_page_of_the_scene_that_was_drawn(tmp_path: Path, run: Path) -> None:
@@ -71,7 +71,9 @@ VALUES: dict[str, tuple[Any, str]] = {
     "max_episode_steps": (40, "episode_steps 40"), "observation": ("landing", ""), "action": ("discrete", ""),
     "action_repeat": (3, ""), "torque": ("chirp", ""),
 }  # fmt: skip
+
 STILL = "import numpy as np\ndef act(observations):\n    return np.zeros(len(observations), int)\n"
+
 TWO = ["--trust", "--episodes", "2", "--json", "out.json"]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.test_commands import script
+from tests.script import script
 
 
 def numbers_of(text: str) -> list[float]:

@@ -27,7 +27,7 @@ from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env import Action, Drive, Observation, Scene, Task
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
-from tests.agents.test_commands import script
+from tests.script import script
 
 HERE = EnvSettings(fidelity="exact")
 COUNT = 3  # environments

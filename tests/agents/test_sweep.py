@@ -38,8 +38,8 @@ from agents.sweep import (
 )
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
-from tests.agents.test_commands import ROOT, script
 from tests.agents.trials import GRID, fragile, shares
+from tests.script import ROOT, script
 
 
 def carried_out(folder: Path, work: Work = shares, runner: Runner = in_turn) -> bytes:
