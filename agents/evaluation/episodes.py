@@ -33,7 +33,7 @@ class Episode(NamedTuple):
 def control_steps(env: gym.Env[Any, Any], acting: PolicyWithEnv, observation: Any) -> Iterator[ControlStep]:
     """Let a policy act from the start that was observed until the episode's end; yields each control step."""
     memory, first, done, inner = None, True, False, cast(JackInBoxEnv, env.unwrapped)
-    inner.kept_steps = None
+    inner.stored_steps = None
     while not done:
         action, memory = acting.policy.predict(observation, memory, np.array([first]), deterministic=True)
         observation, _, terminated, truncated, _ = env.step(action)

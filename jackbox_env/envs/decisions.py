@@ -35,7 +35,7 @@ class ControlStep(NamedTuple):
 
 def decide(
     simulator: Simulator, functions: Functions, dt: float, torque: float | None, controls: Array | None, most: float,
-    max_contact_steps: int, kept: int | None,
+    max_contact_steps: int, stored_steps: int | None,
 ) -> tuple[ControlStep, int, Sequence[ControlStep]]:  # fmt: skip
     """Step a simulator until ``most`` control steps, an impact or the task's end ends a decision.
 
@@ -49,11 +49,11 @@ def decide(
         controls: the numbers of an action, shape (n,), whose torque is computed in each control step; None: none.
         most: control steps, at least 1.
         max_contact_steps: see :func:`jackbox_env.model.landing.is_over`.
-        kept: control steps that are returned, the last ones; None: all.
+        stored_steps: control steps that are returned, the last ones; None: all.
 
     Returns:
-        The whole decision: sums over its control steps, the mean torque, and the state at the end. The number of its
-        control steps. The kept ones.
+        The whole decision, with sums over its control steps, the mean torque and the state at the end; the number of
+        its control steps; and the last of them.
 
     Raises:
         TaskError: a reward, a torque or an observation is NaN, or a reward infinite.
@@ -62,7 +62,7 @@ def decide(
     if most == 1:
         part = _control_step(simulator, functions, dt, torque, controls, True)
         return part, 1, [part]
-    parts, impacts, sums = deque[ControlStep](maxlen=kept), list[Impact](), list[float]()
+    parts, impacts, sums = deque[ControlStep](maxlen=stored_steps), list[Impact](), list[float]()
     made, ended, separated = 0, False, False
     while made < most and not ended:
         part = _control_step(simulator, functions, dt, torque, controls, False)

@@ -260,8 +260,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._past: Past | None = None  # of the pictures that are observed
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
-        self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``kept_steps``; None: all
-        self.kept_steps = None if render_mode else (pixels or Pixels()).stack
+        self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``stored_steps``; None: all
+        self.stored_steps = None if render_mode else (pixels or Pixels()).stack
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer
 
@@ -403,7 +403,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
             whole, made, parts = decide(
-                simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps, self.kept_steps
+                simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps, self.stored_steps
             )
         except BaseException:
             if before is not None:

@@ -357,12 +357,12 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
     trajectories, energies, hits, lengths = results.trajectories, results.energies, results.hits, results.lengths
     if not trajectories.shape[0] + energies.shape[0] + hits.shape[0] + lengths.shape[0]:
         return
-    values, place = call.scenes.values, (k + 1) % max(1, trajectories.shape[1])
+    values, index = call.scenes.values, (k + 1) % max(1, trajectories.shape[1])
     for lane in range(block.size):
         row = block.first + lane
         if trajectories.shape[0] and block.before[OVER, lane] == 0.0:
             for column in range(12):
-                trajectories[row, place, column] = block.after[column, lane]
+                trajectories[row, index, column] = block.after[column, lane]
         if energies.shape[0]:
             row_scene = make_numbers(values[row]) if values.shape[0] > 1 else scene
             if k == 0:

@@ -23,7 +23,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Chirp, JackInBoxEnv, JackInBoxVectorEnv, JackLostError, Scene
-from tests.batches.drawn import OWN
+from tests.batches.drawn import USERS
 from tests.batches.several import assert_same
 from tests.invariants.cases import draw_start
 
@@ -186,19 +186,19 @@ class Alike:
 
     def step(self, draw: random.Random) -> None:
         """A decision; before it the episodes that are over start anew, if they do not by themselves."""
-        given = self.actions(draw)
+        actions = self.actions(draw)
         if self.mode is AutoresetMode.DISABLED and self.over.any():
             with pytest.raises(RuntimeError, match=f"DISABLED.* {self.over.sum()} of {self.count} are over"):
-                self.batches[0].step(given)
+                self.batches[0].step(actions)
             self.reset_some(self.over)
-        given = draw.choice((given, given, given, None))
-        alone = [None] * self.count if given is None or self.driven else given
-        before, passed = self.batches[0].states, copy.copy(given)
+        actions = draw.choice((actions, actions, actions, None))
+        alone = [None] * self.count if actions is None or self.driven else actions
+        before, passed = self.batches[0].states, copy.copy(actions)
         try:
             results = [env.step(passed) for env in self.several]
         except JackLostError:
             assert_same(self.batches[0].states, before, "states after a lost jack")
-            self.lose(given, alone)
+            self.lose(actions, alone)
             return
         self.returned(results)
         overwrite(passed)
@@ -215,12 +215,12 @@ class Alike:
                 infos_of_stable = listed[3][number], self.stable.reset_infos[number]
                 assert_same(infos_of_stable, (row.listed, row.begun), f"{path} of Stable-Baselines3")
 
-    def lose(self, given: Any, alone: Any) -> None:
+    def lose(self, actions: Any, alone: Any) -> None:
         """All kinds refuse a step in which a jack is lost."""
         self.lost = True
         for env in self.several:
             with pytest.raises(JackLostError):
-                env.step(given)
+                env.step(actions)
         if len(self.rows) == self.count:
             with pytest.raises(JackLostError):
                 [row.step(alone[number]) for number, row in self.rows.items()]
@@ -334,8 +334,8 @@ class Alike:
 
     def duplicate(self, draw: random.Random) -> None:
         """A copy of a batch goes on beside it, and a copy of each single environment in its place."""
-        own = any(self.shared[name] in OWN for name in ("task", "observation", "action"))
-        pickled = draw.choice((*[False] * (20 if own else 1), True))  # then functions are compiled again, for seconds
+        users = any(self.shared[name] in USERS for name in ("task", "observation", "action"))
+        pickled = draw.choice((*[False] * (20 if users else 1), True))  # then functions are compiled again, for seconds
         whole = self.batches[0], [row.env for row in self.rows.values()]
         self.batches[1], envs = pickle.loads(pickle.dumps(whole)) if pickled else copy.deepcopy(whole)
         self.several[1] = self.batches[1]

@@ -51,7 +51,7 @@ FALL = Task(("height", "effort", "turning"), terms, struck, above)
 SEEN = Observation(("height", "beat", "spin"), -1.0, [1.0, 0.5, 0.25], seen)
 SERVO = Action(gym.spaces.Box(np.array([-0.5, -1.0], np.float32), np.array([0.3, 1.0], np.float32)), servo)
 BEAT = Action(gym.spaces.Discrete(5), beat)
-OWN = FALL, SEEN, SERVO, BEAT
+USERS = FALL, SEEN, SERVO, BEAT
 
 
 def choosy(gravity: float, drive: Chirp, rng: np.random.Generator) -> dict[str, Any]:

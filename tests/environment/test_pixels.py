@@ -98,7 +98,7 @@ def drawn(scene: Scene, states: list[Any], size: tuple[int, int]) -> Picture:
 @pytest.mark.parametrize(("repeat", "stack"), [(1, 4), (3, 2), (2, 5), ("bounce", 3)])
 def test_pictures_are_of_the_last_control_steps(contact: str, repeat: Any, stack: int) -> None:
     env = JackInBoxEnv(contact=contact, observation=Pixels((30, 24), stack), action_repeat=repeat)
-    env.kept_steps = None
+    env.stored_steps = None
     seen, info = env.reset(seed=1)
     states, struck = [info["state"]] * stack, 0
     np.testing.assert_array_equal(seen, drawn(env.scene, states[-stack:], (30, 24)))

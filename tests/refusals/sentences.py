@@ -178,8 +178,8 @@ def fill(path: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    found = (one for one in path.rglob("*") if "__pycache__" not in one.parts)
-    return {str(one.relative_to(path)): b"" if one.is_dir() else one.read_bytes() for one in found}
+    paths = (one for one in path.rglob("*") if "__pycache__" not in one.parts)
+    return {str(one.relative_to(path)): b"" if one.is_dir() else one.read_bytes() for one in paths}
 
 
 def files(content: Mapping[str, str | bytes]) -> Subject:

@@ -107,12 +107,12 @@ def failing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[floa
     """Fails under a torque to the left; the box's place chooses what else fails."""
     if torque > 0.0:
         raise ValueError("no push to the left, please")
-    place, by, height = int(state.x_box + 0.5), torque + 1.0, max(state.y_jack + 0.5, 0.0)
-    if place in (1, 2):
-        return (1.0 / by if place == 1 else 1.0 // by,)
-    if place in (3, 4):
-        return (float(1 // int(by)) if place == 3 else 1.0 / height,)
-    return (1.0 if place != 5 or height > 0.0 else math.nan,)
+    spot, by, height = int(state.x_box + 0.5), torque + 1.0, max(state.y_jack + 0.5, 0.0)
+    if spot in (1, 2):
+        return (1.0 / by if spot == 1 else 1.0 // by,)
+    if spot in (3, 4):
+        return (float(1 // int(by)) if spot == 3 else 1.0 / height,)
+    return (1.0 if spot != 5 or height > 0.0 else math.nan,)
 
 
 def pushing(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float]:
@@ -212,11 +212,11 @@ TASKS = [
             stepped(second(where, -1.0 / Scene().torque_limit, 0.0)),
             ZeroDivisionError,
             "...division...by zero",
-            begun(one, reset(state=second(where, at(x_box=place, x_jack=place), at()))),
+            begun(one, reset(state=second(where, at(x_box=spot, x_jack=spot), at()))),
         )
         for contact in CONTACT_MODELS
         for one, where in of_both(contact, task=FAILING)
-        for place in (1, 2, 3)
+        for spot in (1, 2, 3)
     ),
     *(  # environment 0 fails later
         Refusal(
@@ -234,13 +234,13 @@ TASKS = [
     ),
     *(
         Refusal(
-            lambda _, place=place, threads=threads: rollout(
-                {}, RISING + at(x_box=place, x_jack=place), np.zeros(80), 0.02, rewards=FAILING, num_threads=threads
+            lambda _, spot=spot, threads=threads: rollout(
+                {}, RISING + at(x_box=spot, x_jack=spot), np.zeros(80), 0.02, rewards=FAILING, num_threads=threads
             ),
             error,
             sentence,
         )
-        for place, error, sentence in (
+        for spot, error, sentence in (
             (4, ZeroDivisionError, "division by zero"),
             (5, TaskError, FALLEN + "step 29 of states[30]"),
         )

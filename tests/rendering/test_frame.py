@@ -187,7 +187,7 @@ def test_reset_forgets_everything() -> None:
     np.testing.assert_array_equal(draw(renderer), draw(renderer_at(state(), time=0.6)))
 
 
-def test_memory_is_bounded_and_a_frame_is_the_callers_own() -> None:
+def test_memory_is_bounded_and_a_frame_belongs_to_the_caller() -> None:
     passed = np.array(state(jack=(1.0, 1.0, 0.2)))
     renderer = renderer_at(state())
     sizes = []
