@@ -74,9 +74,3 @@ def test_the_card_of_the_datasets() -> None:
     assert "| `jackbox/juggle-ppo-v0` | 200 | 100,000 | 291.2 |\n| `jackbox/spin-ppo-v0` |" in page
     assert 'load_dataset("jackbox/juggle-ppo-v0")' in page
     assert "Made with jackbox 0.1.0, commit 1234567." in page
-
-
-@pytest.mark.parametrize("folder", sorted(SHIPPED.glob("*-ppo")), ids=lambda folder: folder.name)
-def test_a_card_names_what_its_network_observes(folder: Path) -> None:
-    observed = json.loads((folder / "settings.json").read_text())["observation"]
-    assert f'From the observation `"{observed}"`' in (folder / "README.md").read_text()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import (
     ClipAction,
-    DelayObservation,
-    FrameStackObservation,
-    NormalizeObservation,
     RescaleAction,
-    StickyAction,
-    TransformObservation,
     vector,
 )
 
@@ -75,34 +69,6 @@ def test_the_chirp_passes_vector_environments_and_action_wrappers() -> None:
 
 def shifted(observations: Any) -> Any:
     return observations + np.float32(0.25)
-
-
-WRAPPED: dict[str, Callable[[Any], Any]] = {  # of docs/change.md
-    "noise": lambda env: TransformObservation(env, shifted, None),
-    "delay": lambda env: DelayObservation(env, delay=2),
-    "stack": lambda env: FrameStackObservation(env, 3),
-    "normalised": NormalizeObservation,
-    "sticky": lambda env: StickyAction(env, 0.3),
-}
-
-
-@pytest.mark.parametrize("name", WRAPPED)
-def test_a_wrapper_acts_alike_on_one_environment_and_on_each_of_a_batch(name: str) -> None:
-    sb3 = pytest.importorskip("stable_baselines3.common.env_util")
-    wrap = WRAPPED[name]
-    settings: dict[str, Any] = {"fidelity": "exact", "action_repeat": 4}
-    singles = [wrap(gym.make("JackInBox-v0", **settings)) for _ in range(2)]
-    batch: Any = gym.make_vec("JackInBox-v0", 2, "sync", wrappers=[wrap], **settings)
-    listed = sb3.make_vec_env("JackInBox-v0", 2, wrapper_class=wrap, env_kwargs=settings)
-    listed.seed(5)
-    seen = [np.array([env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])]
-    others = [(batch.reset(seed=5)[0], listed.reset())]
-    for actions in np.random.default_rng(0).uniform(-1, 1, (20, 2, 1)).astype(np.float32):
-        seen.append(np.array([env.step(action)[0] for env, action in zip(singles, actions, strict=True)]))
-        others.append((batch.step(actions)[0], listed.step(actions)[0]))
-    for expected, both in zip(seen, others, strict=True):
-        for observations in both:
-            np.testing.assert_array_equal(observations, expected)
 
 
 def test_gymnasiums_batch_wrappers_act_on_the_compiled_batch() -> None:

@@ -6,7 +6,6 @@ import gc
 import itertools
 import math
 import os
-import signal
 import time
 from types import FunctionType
 from typing import Any
@@ -20,7 +19,7 @@ from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 
 from jackbox_env.envs.batches.threads import Threads, thread_count
-from jackbox_env.exact import compiler, pipelines, run
+from jackbox_env.exact import compiler, run
 from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
@@ -88,30 +87,6 @@ def test_an_exception_while_a_function_is_prepared_leaves_nothing(last: int, mon
         compilation.compiled(run.run)
     assert isinstance(compilation.compiled(run.run), Dispatcher)
     assert not [one for one in compilation._twins.values() if isinstance(one, FunctionType)]
-
-
-@pytest.mark.parametrize("last", [1, 2])
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_an_exception_while_a_function_is_compiled_leaves_nothing(
-    last: int, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    draw = compiler._Compilation((("_HALF", np.uint64(32)),)).compiled(uniform)
-    compile_extra, calls = pipelines.PackageCompiler.compile_extra, itertools.count(1)
-    before = [signal.getsignal(number) for number in signal.valid_signals()]
-
-    def interrupted(self: Any, function: Any) -> Any:
-        if next(calls) == last:
-            if error is MemoryError:
-                raise MemoryError
-            signal.raise_signal(signal.SIGINT)
-        return compile_extra(self, function)
-
-    monkeypatch.setattr(pipelines.PackageCompiler, "compile_extra", interrupted)
-    with pytest.raises(error):
-        draw(seeded(0))
-    assert [signal.getsignal(number) for number in signal.valid_signals()] == before
-    assert draw(seeded(0)) == compiled(uniform)(seeded(0))
-    assert gc.isenabled()
 
 
 # -- cosines ----------------------------------------------------------------------------------------------------------
