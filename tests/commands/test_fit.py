@@ -153,13 +153,3 @@ def test_the_documented_commands_converge(
     assert re.search(r"^docs/cam\.csv: \d+ of \d+ frames are missing, and left open\.$", err, re.M)
     assert "fitting:" not in err  # no bar, as this is no terminal
     assert len(list((tmp_path / "runs").glob("fit-*/fit.html"))) == 1
-
-
-def test_names_without_units_and_empty_cells_are_read(tmp_path: Path) -> None:
-    (tmp_path / "seen.csv").write_text("\ufefftorque,x_jack,time\n5,1.5,2\n6,,2.5\n,nan,3.0\n\n", encoding="utf-8")
-    (tmp_path / "heard.csv").write_text("time\n2.25\n")
-    recording = fit.read_recording(tmp_path / "seen.csv", Scene(), tmp_path / "heard.csv")
-    np.testing.assert_array_equal(np.asarray(recording.states)[:, 3], [1.5, np.nan, np.nan])
-    assert np.isnan(np.delete(np.asarray(recording.states), 3, axis=1)).all()
-    assert (recording.dt, recording.time) == (0.5, 2.0)
-    assert (np.asarray(recording.torques).tolist(), np.asarray(recording.impacts).tolist()) == ([5.0, 6.0], [2.25])

@@ -110,6 +110,7 @@ def test_check_sees_a_state_that_does_not_come_back(monkeypatch: pytest.MonkeyPa
         (ImportError("no engine"), 2, "no engine; this command needs more packages"),
         (OSError(28, "No space left on device"), 2, "cannot be used: No space left on device"),
         (ValueError("dt must be"), 2, "dt must be"),
+        (MemoryError(), 2, "there is not enough memory"),
     ],
 )
 def test_every_end_of_a_command_has_its_status_and_at_most_one_sentence(

@@ -17,11 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Scene, make_simulator
+from jackbox_env import Scene, make_simulator
 from jackbox_env.commands import simulate
-from jackbox_env.commands.fit import read_recording
-from jackbox_env.recording.simulation import recorded
-from jackbox_env.simulators.fidelity import resolve
 from jackbox_env.tools.command_line import bar
 
 
@@ -80,21 +77,6 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monk
         assert [float(cell) for cell in list(csv.reader(file))[1][:13]] == deep
 
 
-@pytest.mark.parametrize("contact", ["exact", "pymunk"])
-def test_the_files_hold_each_steps_torque(tmp_path: Path, contact: str) -> None:
-    motion = recorded(Scene(), resolve(contact=contact), np.zeros(12), 0.0, 0.5, 0.02, None)
-    states, _ = motion.save(tmp_path / "run.csv")
-    (arrays,) = motion.save(tmp_path / "run.npz")
-    with states.open() as file:
-        *rows, last = csv.DictReader(file)
-    assert last["torque [N m]"] == ""
-    torques = [float(row["torque [N m]"]) for row in rows]
-    assert torques == np.load(arrays)["torque"].tolist()
-    means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(25)]
-    np.testing.assert_allclose(torques, means, rtol=1e-6)
-    assert np.load(arrays)["impact_time"].shape == (0,)  # none in half a second
-
-
 @pytest.mark.parametrize("film", ["run.gif", "run.mp4"])
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of imageio
 def test_a_film_shows_the_motion_at_any_step(
@@ -109,20 +91,6 @@ def test_a_film_shows_the_motion_at_any_step(
     out, err = capsys.readouterr()
     assert f"  {film}" in out.splitlines()
     assert "frame" not in err  # no bar, as this is no terminal
-
-
-def test_want_of_memory_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*arguments: object) -> None:
-        raise MemoryError
-
-    run(monkeypatch, tmp_path, "--seconds", "1e-9", "--folder", "short")
-    assert len((tmp_path / "short" / "states.csv").read_text().splitlines()) == 3
-    monkeypatch.setattr("jackbox_env.recording.files.write_csv", full)
-    with pytest.raises(SystemExit):
-        run(monkeypatch, tmp_path, "--seconds", "1")
-    assert capsys.readouterr().err == "there is not enough memory\n"
 
 
 def test_bars_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,29 +149,3 @@ def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
     assert not calm["torque"].any()
     assert Scene.of(json.loads(calm["scene"].item())) == Scene(drive=None)
     assert calm["state"][0, 3:5].tolist() == [1.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("headers", "torques", "left_out"),
-    [
-        ("time,x_jack,torque", [30.0, 1.0], None),
-        ("time [ms],x_jack [mm],torque [kN m]", [30e3, 1e3], None),
-        ("time [s], x_jack,torque[N mm]", [30e-3, 1e-3], None),
-        ("time,x_jack,torque,torque_measured", [30.0, 1.0], "torque_measured"),
-        ("clock,torque_limit,torque,x_jack,time", [30.0, 1.0], "clock, torque_limit"),
-    ],
-)
-def test_a_file_has_the_same_torques_for_simulate_and_fit(
-    headers: str, torques: list[float], left_out: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, unit = tmp_path / "rows.csv", 1e3 if "ms" in headers else 1.0
-    rows = [{"time": unit * time, "x_jack": 0.5, "torque": torque} for time, torque in ((0, 30), (0.1, 1), (0.2, ""))]
-    names = [header.split("[")[0].strip() for header in headers.split(",")]
-    lines = [",".join(str(row.get(name, "5 A")) for name in names) for row in rows]
-    path.write_text("\n".join([headers, *lines]))
-    assert simulate._torques(path, 0.1).tolist() == pytest.approx(torques)
-    assert capsys.readouterr().err == (f"{path}: left out: {left_out}.\n" if left_out else "")
-    chosen = {"torque": "torque"} if left_out else None  # without it fit refuses a column that it does not know
-    recording = read_recording(path, Scene(drive=None), names=chosen)
-    assert recording.torques is not None
-    assert recording.torques.tolist() == pytest.approx(torques)

@@ -148,6 +148,8 @@ CASES = [
     # Columns that are left out.
     Case("left_out.csv", TORQUES, columns="time=time", notes=(left_out("clock, note, note"),)),
     Case("left_out.csv", refused="row 1: column 'clock' must be one of time [s], x_box [m], "),
+    Case("alike.csv", TORQUES, columns="time=time", notes=(left_out("clock, torque_limit, torque_measured"),)),
+    Case("alike.csv", refused="row 1: column 'clock' must be one of time [s], x_box [m], "),
     Case("pandas_index.csv"),
     Case("frame.csv", columns="time=time", notes=(left_out("frame"),)),
     Case("frame.csv", refused="torque [N m]; --columns (in Python names=) reads other headers"),
@@ -228,8 +230,9 @@ def test_a_file_is_read_or_a_sentence_says_why_not(case: Case) -> None:
 @pytest.mark.parametrize(
     "case", [case for case in CASES if case.torques and "unix" not in case.file], ids=lambda c: c.file
 )
-def test_simulate_reads_the_same_torques_as_fit(case: Case) -> None:
+def test_simulate_reads_the_same_torques_as_fit(case: Case, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulate._torques(FILES / case.file, case.dt).tolist() == pytest.approx(case.torques)
+    assert ("left out: clock" in capsys.readouterr().err) == (case.file in ("alike.csv", "left_out.csv"))
 
 
 def test_each_file_is_tried() -> None:

@@ -6,13 +6,12 @@ import io
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from jackbox_env import Recording, Scene
-from jackbox_env.measure.tables import Table, in_si_units, read_table, table_of
+from jackbox_env.measure.tables import read_table
 
 TIMES = 0.02 * np.arange(5)
 ARRAYS = {"time": TIMES, "state": np.ones((5, 12)), "torque": np.arange(4.0), "impact_time": TIMES[:2]}
@@ -68,19 +67,3 @@ def test_no_flipped_bit_and_no_cut_of_an_npz_file_is_another_error(
         sentence = refusal(path)
         assert sentence.startswith(str(path)) or not sentence
         assert "\n" not in sentence
-
-
-@pytest.mark.parametrize(
-    "columns", [dict(ARRAYS), {name: ARRAYS[name] for name in ("time", "torque")}, {"torque": ARRAYS["torque"]}]
-)
-def test_a_torque_of_one_step_less_than_times_ends_with_an_empty_row(columns: dict[str, Any]) -> None:
-    read, _ = in_si_units(table_of(columns), {"time": "s", "torque": "N m"}, needed=["torque"], strict=False)
-    np.testing.assert_array_equal(read["torque"], [0.0, 1.0, 2.0, 3.0, *[np.nan] * ("time" in columns)])
-
-
-def test_columns_that_are_left_out_may_hold_anything() -> None:
-    columns = [("time", ["0"]), ("", ["x"]), ("note", ["12:30"]), ("note", [None]), ("ball", ["2"])]
-    read, left_out = in_si_units(Table(columns, "a.csv, ", [2]), {"time": "s", "x_jack": "m"}, {"x_jack": "ball"})
-    assert ({name: values.tolist() for name, values in read.items()}, left_out) == (
-        {"time": [0.0], "x_jack": [2.0]}, ("", "note", "note"),
-    )  # fmt: skip

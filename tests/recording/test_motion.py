@@ -377,6 +377,10 @@ def test_files_have_the_motion(tmp_path: Path, fidelity: str) -> None:
     states, impacts = (list(csv.DictReader(path.read_text().splitlines())) for path in tables)
     assert [float(row["y_jack [m]"]) for row in states] == motion.states[:, 4].tolist()
     assert states[-1]["torque [N m]"] == ""
+    torques = [float(row["torque [N m]"]) for row in states[:-1]]
+    assert torques == matlab["torque"].tolist()
+    means = [0.5 * sum(Chirp().torque_means(0.02 * step, 0.02)) for step in range(150)]
+    np.testing.assert_allclose(torques, means, rtol=1e-6)
     assert [float(row["time [s]"]) for row in impacts] == motion.impacts["time"].tolist()
     if fidelity == "exact":
         after = [float(row["after omega_jack [rad/s]"]) for row in impacts]
