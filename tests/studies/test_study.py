@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -147,10 +146,3 @@ def test_a_machine_is_named_once_with_all_commits_of_its_trials() -> None:
     commits = ["one, commit b", "two, commit c", "one, commit a", "one, commit b"]
     rows = [{"part": "squared", "result": number, "made": made} for number, made in enumerate(commits)]
     assert study.by_part(SMALL, rows)["made"] == {"squared": "one, commit a, b; two, commit c."}
-
-
-def test_a_record_has_a_line_for_each_result() -> None:
-    record = {"made": {"a": "x"}, "a": [{"n": [1, 2]}, {"n": []}], "b": {"c": {"d": 1}, "e": "\n      ]"}}
-    text = study.as_text(record)
-    assert json.loads(text) == record
-    assert text.count("\n") == 13
