@@ -10,16 +10,12 @@ import pytest
 from tests.script import script
 
 
-def numbers_of(text: str) -> list[float]:
-    return [float(number) for number in re.findall(r"-?\d+\.\d", text)]
-
-
 def test_ppo_trains_on_randomised_scenes(tmp_path: Path) -> None:
     out = script("examples/randomized", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path).stdout
     lines = out.strip().splitlines()
     assert len(lines) == 6
     for line in lines:
-        _, default, randomised = numbers_of(line)  # restitution, and what both trainings earn
+        _, default, randomised = map(float, re.findall(r"-?\d+\.\d", line))  # restitution, and what both trainings earn
         assert default != randomised
         assert min(default, randomised) > 0.0
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import time
 from pathlib import Path
 
 import pytest
 
-from agents.files import LOCK, FolderInUseError, locked, read_json
+from agents.files import LOCK, FolderInUseError, locked
 from jackbox_env.tools.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 
@@ -83,12 +82,6 @@ def test_partial_files_of_killed_processes_are_removed_and_nothing_else(tmp_path
     (tmp_path / ".link.4.partial").symlink_to(tmp_path.parent, target_is_directory=True)
     remove_partials(tmp_path, tmp_path / "not there")
     assert {path.name for path in tmp_path.iterdir()} == others
-
-
-def test_json_is_written_and_read(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    write_json(path, {"a": [1.5, None]})
-    assert read_json(path) == json.loads(path.read_text()) == {"a": [1.5, None]}
 
 
 # -- holding ----------------------------------------------------------------------------------------------------------

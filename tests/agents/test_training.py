@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,10 +103,6 @@ def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: 
     assert parameters is not None
     torch.testing.assert_close(parameters["policy"], last, rtol=0.0, atol=0.0)
     assert training.train(more, folder, progress=False).num_timesteps == TINY.total_steps + 512
-
-
-def test_settings_are_read_again() -> None:
-    assert TrainSettings.of(json.loads(json.dumps(asdict(TrainSettings())))) == TrainSettings()
 
 
 def test_a_deadline_ends_training(tmp_path: Path) -> None:

@@ -39,12 +39,6 @@ def test_the_ends_of_candidates_are_valued() -> None:
     np.testing.assert_allclose(expected[1], UNIT * (inner @ weights[1][0].T + weights[1][1])[:, 0], rtol=1e-5)
 
 
-def test_a_value_is_written_and_read(tmp_path: Path) -> None:
-    write_with_layers(tmp_path, "value.json", EXACT, layers_for())
-    states = states_in(Scene(), 5)
-    np.testing.assert_array_equal(read_value(tmp_path).of(states), Value(EXACT, layers_for()).of(states))
-
-
 def search_in(**settings: Any) -> Search:
     """The search of the planner that the registry makes for an environment."""
     policy: Any = find_policy("planner", EnvSettings(**settings), 0).policy

@@ -159,6 +159,13 @@ SETTINGS = [
     ),
     Refusal(lambda _: TrainSettings(scene="[1]"), ValueError, "scene must be a JSON object, got '[1]'"),
     Refusal(lambda _: TrainSettings(scene="{"), ValueError, "scene must be a JSON object, got '{'"),
+    Refusal(lambda _: EnvSettings(randomize="[1]"), ValueError, "randomize must be a JSON object, got '[1]'"),
+    Refusal(
+        lambda _: EnvSettings(randomize='{"mass": [1, 2]}'),
+        ValueError,
+        "randomize accepts only 'box_half_width', 'box_mass', 'box_inertia', 'jack_arm', 'jack_mass', "
+        "'jack_inertia', 'gravity', 'restitution', 'torque_limit', got 'mass' (did you mean 'box_mass'?)",
+    ),
     Refusal(
         lambda _: find_policy("pid", EnvSettings(), 0),
         FileNotFoundError,
