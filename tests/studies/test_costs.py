@@ -21,7 +21,7 @@ import pytest
 from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.exact import compiler as _compiled
-from jackbox_env.exact import workspace
+from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
@@ -227,3 +227,12 @@ def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # -- the counters ------------------------------------------------------------------------------------------------------
+
+
+def test_the_counters_count() -> None:
+    counts = calls_of(lambda: [Scene().mass_diagonal for _ in range(2)])
+    assert times_called(counts, "Scene.mass_diagonal") == 2
+    assert times_called(counts, "diagonal") == 0
+    with uncompiled():
+        assert _compiled.compiled(run.run) is run.run
+    assert _compiled.compiled(run.run) is not run.run
