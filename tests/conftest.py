@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -51,14 +50,14 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 def processor_seconds() -> float:
     """Processor time [s] of this process and of those it started that have ended."""
-    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(os.times()[:4])
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Print the processor time of a run of several workers, and relative to compiling: machines differ."""
-    seconds, compiling = processor_seconds(), config.cache.get(COMPILING, 0.0) if config.cache else 0.0
+    seconds, cache = processor_seconds(), getattr(config, "cache", None)
+    compiling = cache.get(COMPILING, 0.0) if cache else 0.0
     if compiling and config.getoption("numprocesses", None):
         line = f"{seconds:.0f} s of processor time, {seconds / compiling:.0f} times what compiling the exact model took"
         terminalreporter.write_line(f"{line} ({compiling:.1f} s)")
@@ -78,9 +77,9 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
     env.close()
     jackbox_env.rollout(None, np.zeros(12), np.zeros((2, 3)), 0.02)
     jackbox_env.simulate(duration=0.1)(0.05)
-    spent = processor_seconds() - before
-    if config.cache and spent > 0.5 * config.cache.get(COMPILING, 6.0):  # else it was on disk
-        config.cache.set(COMPILING, spent)
+    spent, cache = processor_seconds() - before, getattr(config, "cache", None)
+    if cache and spent > 0.5 * cache.get(COMPILING, 6.0):  # else it was on disk
+        cache.set(COMPILING, spent)
     with contextlib.suppress(ImportError):  # of the agents' libraries
         from scripts.site.build import ensure_page
 
