@@ -11,6 +11,7 @@ call, which takes longer than a step of a small batch. Here the address is looke
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import hashlib
 import itertools
@@ -252,6 +253,7 @@ def _signed(default: Any) -> Any:
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
     if is_disabled():
+        twin.__globals__["__builtins__"] = builtins  # numpy imports ctypes in the function that asks for an address
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
     from jackbox_env.exact.code_cache import CodeCache, warn_once
 
