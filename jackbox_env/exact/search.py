@@ -389,7 +389,9 @@ def may_rest(
     if scene.restitution < 1.0:
         return abs(rate) <= math.sqrt(2.0 * limits.curvature * resolution)
     still = rounding(scene, flight, limits.end)
-    return abs(rate) <= (unresolved(flight, limits, still) if is_outside(scene, memory, limits, gap) else still)
+    if abs(rate) <= still:
+        return True
+    return is_outside(scene, memory, limits, gap) and abs(rate) <= unresolved(flight, limits, still)
 
 
 def is_outside(scene: SceneNumbers, memory: Workspace, limits: Limits, gap: float) -> bool:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from agents.files import locked
 from agents.runs import MODEL
 from tests.agents import killing
 from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
@@ -94,16 +95,15 @@ def test_a_full_disk_is_reported_and_the_run_goes_on_when_there_is_room(tmp_path
     check_finished(folder)
 
 
-def test_of_two_resumes_side_by_side_one_is_refused(tmp_path: Path) -> None:
+def test_a_resume_beside_another_is_refused_and_leaves_the_run_whole(tmp_path: Path) -> None:
     folder, output = tmp_path / "run", tmp_path / "out.txt"
     assert ended(start(killing.train, folder, output, None, 20_000)) == 2
-    outputs = [tmp_path / "one.txt", tmp_path / "other.txt"]
-    processes = [start(killing.train, folder, output) for output in outputs]
-    statuses = [ended(process) for process in processes]
-    assert sorted(map(str, statuses)) == ["0", "2"], [output.read_text() for output in outputs]
-    refused = statuses.index(2)
-    said = outputs[refused].read_text().splitlines()
+    refused = tmp_path / "refused.txt"
+    with locked(folder):
+        assert ended(start(killing.train, folder, refused)) == 2
+    said = refused.read_text().splitlines()
     assert said[-1] == f"{folder} is in use by another process: wait until it ends, or end it"
+    assert ended(start(killing.train, folder, output)) == 0, output.read_text()
     check_finished(folder)
 
 
