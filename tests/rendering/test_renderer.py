@@ -55,14 +55,6 @@ def test_any_size_anywhere_is_drawn(half_width: float, arm: float, distance: flo
     assert max(map(len, words)) < 24
 
 
-def test_a_jack_across_the_edge_of_the_frame_is_cut() -> None:
-    for angle in np.linspace(0.0, 2.0 * math.pi, 41):
-        x, y = 10.0 * math.cos(angle), 10.0 * math.sin(angle)
-        renderer = renderer_at(state(jack=(x, y, 3.0 * float(angle))))
-        blue_pixels = np.argwhere(blue(draw(renderer)))[:, ::-1]
-        assert (np.abs(blue_pixels - renderer.to_pixels(x, y)) < 30.0).all()
-
-
 def test_others_may_close_theirs_and_quit_pygame(words: Words) -> None:
     renderer, other, fresh = (renderer_at(state()) for _ in range(3))
     draw(renderer)
@@ -157,7 +149,6 @@ def test_window_survives_others_and_leaves_theirs(
 @pytest.mark.parametrize(
     ("number", "close", "setting"),
     [
-        (signal.SIGTERM, True, {}),
         (signal.SIGINT, False, {}),
         (signal.SIGTERM, True, {"SDL_NO_SIGNAL_HANDLERS": "0"}),  # the user wants SDL's own
     ],
