@@ -11,7 +11,7 @@ from jackbox_env.tools.files import new_folder
 from tests.agents.small_run import TINY
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of training."""
     from agents.training import ppo as training  # this module is imported where PyTorch is missing too

@@ -12,7 +12,7 @@ import pytest
 
 from agents.policies.network import SHIPPED, WEIGHTS
 from jackbox_env import __version__
-from scripts.cards import card, datasets_card
+from scripts.cards import card
 
 ROOT = Path(__file__).parents[2]
 RECORD = json.loads((ROOT / "docs" / "results.json").read_text())
@@ -64,13 +64,3 @@ def test_the_code_of_a_card_plays(
         exec(compile(code.replace("seed=0", f"seed={seed}"), name, "exec"), {"__name__": "__main__"})
     returns = [float(line) for line in capsys.readouterr().out.split()]
     assert sum(returns) / 4 > (120.0 if name.startswith("spin") else 200.0), returns  # the cards' means: 284 and more
-
-
-def test_the_card_of_the_datasets() -> None:
-    yaml: Any = pytest.importorskip("yaml")
-    rows = [("jackbox/juggle-ppo-v0", 200, 100_000, 291.23), ("jackbox/spin-ppo-v0", 200, 100_000, 152.3)]
-    page = datasets_card(rows, {"jackbox": "0.1.0", "commit": "1234567"})
-    assert yaml.safe_load(page.split("---\n")[1])["license"] == "mit"
-    assert "| `jackbox/juggle-ppo-v0` | 200 | 100,000 | 291.2 |\n| `jackbox/spin-ppo-v0` |" in page
-    assert 'load_dataset("jackbox/juggle-ppo-v0")' in page
-    assert "Made with jackbox 0.1.0, commit 1234567." in page

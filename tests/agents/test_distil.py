@@ -52,22 +52,3 @@ def test_the_worth_of_a_torque_is_the_return_of_the_torque_and_then_the_network(
     played = rollout(SCENE, np.repeat(states, vine.TRIES, axis=0), torques, 0.02, rewards="spin", repeat=REPEAT)
     earned = played.rewards.sum(axis=1).reshape(40, vine.TRIES)
     assert np.abs(vine.UNIT * judged.worth.numpy()[:, 0] - earned.mean(axis=1)).max() < 1e-5
-
-
-def test_improving_moves_the_network_to_better_torques() -> None:
-    both, rng = nets(), np.random.default_rng(0)
-    judged = vine.judged(*both, vine.RECIPES["rattle"], starts(600, rng), rng)
-    optimisers = torch.optim.Adam(both[0].parameters(), 1e-3), torch.optim.Adam(both[1].parameters(), 1e-3)
-
-    def towards_better() -> float:
-        moved = both[0](judged.inputs) - judged.means
-        return float((moved * (judged.tried - judged.means) * judged.advantages).mean().detach())
-
-    def missed() -> float:
-        return float(((both[1](judged.inputs) - judged.worth) ** 2).mean().detach())
-
-    first, off = towards_better(), missed()
-    for _ in range(10):
-        vine.improve(both, optimisers, judged)
-    assert towards_better() > first + 0.01
-    assert missed() < off

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.evaluation.returns import evaluate
-from agents.policies.network import write_with_layers
 from agents.policies.one_bounce import (
     AFTER,
     FLOOR,
@@ -27,7 +25,7 @@ from jackbox_env.envs.scoring import observed
 from jackbox_env.model.landing import LONGEST
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
-from tests.agents.untrained import layers_for, states_in
+from tests.agents.untrained import layers_for
 
 FREE = Scene(drive=None)
 SMALL = LandingSettings(angles=(-0.3, -0.1, 0.0, 0.1, 0.3), rates=(-0.5, 0.0, 0.5))
@@ -60,13 +58,6 @@ def test_a_box_turned_by_quarters_is_the_same_box() -> None:
     turned[:, 2] += np.arange(-6, 6) * 0.5 * np.pi
     np.testing.assert_allclose(uprighted(turned), states, atol=1e-12)
     np.testing.assert_allclose(policy.towards_best(turned), policy.towards_best(states), atol=1e-9)
-
-
-def test_a_policy_is_written_and_read(tmp_path: Path) -> None:
-    write_with_layers(tmp_path, "landing.json", SMALL, layers_for())
-    seen = observed(Scene(), states_in(Scene(), 6))
-    actions = find_policy(str(tmp_path), EnvSettings(), 0).policy.predict(seen)[0]
-    np.testing.assert_array_equal(actions, LandingPolicy(SMALL, layers_for()).predict(seen)[0])
 
 
 def test_the_shipped_one_juggles_better_than_ppo() -> None:

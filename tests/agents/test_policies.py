@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import runpy
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -16,9 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from agents.evaluation.film import film
 from agents.evaluation.returns import Returns, above, evaluate, table
 from agents.policies.registry import SCRIPTED, find_policy
-from agents.policies.scripted import PolicyWithEnv
 from agents.settings import EnvSettings, TrainSettings
-from agents.training.models import make_ppo, make_vec_env
 from scripts import train as train_command
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
@@ -48,14 +44,6 @@ def test_level_answers_angle_and_rate() -> None:
     np.testing.assert_allclose(actions, [0.0, -0.016, -14400 * 5 * 0.01 * 10.8499 / 6 / 90000, 1.0], rtol=1e-3)
 
 
-def test_the_random_policy_follows_its_seed() -> None:
-    one, same, other = (
-        find_policy("random", EnvSettings(), seed).policy.predict(np.zeros((100, 10)))[0] for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(one, same)
-    assert np.ptp(one) > 1.5 > abs(other - one).min() > 0.0
-
-
 # -- evaluation --------------------------------------------------------------------------------------------------------
 
 
@@ -78,15 +66,6 @@ def test_evaluation_is_repeatable_and_seeded() -> None:
     assert len({*one.returns, *other.returns}) == 8
 
 
-def test_the_untrained_policy_does_not_beat_zero_torque() -> None:
-    # DESIGN: about 158 against 200; the demo's trained policy stands above 200 with intervals apart.
-    settings = TrainSettings.suited(action="torque", observation="state")
-    model = PolicyWithEnv(make_ppo(settings, make_vec_env({}, 1, 0)), {})
-    untrained = evaluate("untrained", model, {}, 32, seed=0, deterministic=False)
-    zero = evaluate("zero", find_policy("zero", EnvSettings()), {}, 32, seed=0)
-    assert untrained.interval[1] < zero.interval[0], table([untrained, zero])
-
-
 # -- settings ----------------------------------------------------------------------------------------------------------
 
 
@@ -101,37 +80,20 @@ def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pyte
     assert (torques.observation, torques.action, torques.action_repeat, torques.gamma) == ("landing", "torque", 4, 0.99)
     assert of_the_command("--task=spin") == torques
     assert of_the_command("--action", "torque") == replace(torques, task="juggle")
-    assert of_the_command("--action=discrete") == replace(torques, task="juggle", action="discrete")
     decided = TrainSettings.suited(action_repeat=20)
     assert (decided.action, decided.action_repeat, decided.gamma) == ("landing", 20, 0.905)
     assert of_the_command("--action-repeat", "20") == of_the_command("--action_repeat=20") == decided
     assert of_the_command("--action-repeat", "bounce") == TrainSettings()
-    rattle = TrainSettings.suited(task="rattle")
-    assert (rattle.observation, rattle.action, rattle.rollout_steps) == ("state", "torque", 125)
-    assert TrainSettings.suited(task="rattle", action_repeat=5) == replace(rattle, action_repeat=5)
 
 
 # -- trajectories and films --------------------------------------------------------------------------------------------
 
 
-def test_the_site_opens_with_the_page_to_play_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", "")  # conf.py sets it
-    docs = Path(__file__).parents[2] / "docs"
-    app = SimpleNamespace(builder=SimpleNamespace(format="html"), outdir=tmp_path)
-    for _ in range(2):  # built again, it is written again
-        runpy.run_path(str(docs / "conf.py"))["_copy_page"](app, None)
-    (page,) = tmp_path.iterdir()
-    assert f'src="{page.name}"' in (docs / "index.md").read_text()
-    assert "the exact model runs in your browser" in page.read_text()
-
-
-@pytest.mark.parametrize("suffix", [".gif", ".MP4"])
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_films_show_the_policies_side_by_side(tmp_path: Path, suffix: str) -> None:
+def test_films_show_the_policies_side_by_side(tmp_path: Path) -> None:
     import imageio.v3 as imageio
 
     acts = {name: find_policy(name, EnvSettings()) for name in ("zero", "chirp")}
-    path = tmp_path / f"film{suffix}"
+    path = tmp_path / "film.gif"
     earned = film(acts, {}, path, seed=0, seconds=1.2, width=128, progress=False)
     assert earned.keys() == acts.keys()
     assert 0.0 < earned["zero"] < 60.0  # of 60 steps
@@ -167,11 +129,6 @@ def test_a_film_shows_every_control_step_of_a_decision_and_stands_still_after_th
     ppo, _, short = (np.abs(np.diff(part, axis=0)).sum(axis=(1, 2, 3)) > 0 for part in np.split(frames, 3, axis=2))
     assert ppo.all()
     assert not short[5:].any()
-    finer = {"ppo": acts["zero"]._replace(keywords={"control_dt": 0.005})}  # many steps of a quarter
-    finer["coarse"] = acts["zero"]._replace(keywords={"control_dt": 0.04})
-    film(finer, {"fidelity": "exact"}, tmp_path / "times.gif", 3, 0.8, width=64, progress=False)
-    one, other = np.split(imageio.imread(tmp_path / "times.gif")[-1].astype(int)[40:], 2, axis=1)
-    assert np.abs(one - other).mean() < 1.0  # at the same time
     assert 0.0 < earned["short"] < earned["zero"]
 
 

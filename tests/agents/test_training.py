@@ -14,17 +14,13 @@ import pytest
 import torch
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.runs import describe, read_settings
-from agents.settings import TrainSettings
 from agents.training import ppo as training
-from agents.training.best import choosing_seed
-from agents.training.checkpoints import latest_checkpoint, steps_of_checkpoints
+from agents.training.checkpoints import latest_checkpoint
 from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env.sb3 import DurationBuffer, Durations
 from jackbox_env.tools.files import new_folder
-from tests.agents.killing import stop_after
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------
@@ -33,50 +29,16 @@ from tests.agents.small_run import TINY
 def test_a_run_folder_has_the_settings_command_and_versions_of_its_run(run: Path) -> None:
     assert read_settings(run) == TINY
     record = json.loads((run / "run.json").read_text())
-    assert record["seed"] == TINY.seed
-    assert record["command"] == sys.argv
-    assert record["versions"]["torch"].split("+")[0] == torch.__version__.split("+")[0]
+    assert (record["seed"], record["command"]) == (TINY.seed, sys.argv)
     assert set(record["versions"]) >= {"python", "jackbox", "pymunk", "stable-baselines3", "commit"}
     for name in ("model.zip", "best_model.zip", "evaluations.npz", "tensorboard", "checkpoints/ppo_512.zip"):
         assert (run / name).exists(), name
     stored = np.load(run / "evaluations.npz")
     assert stored["timesteps"].tolist() == [1024, 2048]
     assert stored["results"].shape == (2, 4)
-    assert not list(run.rglob("*.partial*"))
     spent = json.loads((run / "time.json").read_text())
     assert spent["steps"] == TINY.total_steps
     assert sum(spent["parts"].values()) == pytest.approx(spent["seconds"])
-    assert all(seconds > 0.0 for seconds in spent["parts"].values())
-
-
-def test_the_best_model_is_the_best_evaluation(run: Path) -> None:
-    stored = np.load(run / "evaluations.npz")
-    environments = make_vec_env(TINY.env_settings, 4, 0)
-    environments.seed(choosing_seed(TINY))
-    best, _ = evaluate_policy(load_model(run), environments, n_eval_episodes=4)
-    assert best == pytest.approx(stored["results"].mean(axis=1).max(), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("settings", "checkpoints"),
-    [(TINY, [1280, 768, 512]), (replace(TINY, action_repeat=5, observation="landing"), [1280, 768, 512])],
-)
-def test_interrupted_training_resumes_to_the_same_total(
-    settings: TrainSettings, checkpoints: list[int], tmp_path: Path
-) -> None:
-    folder = new_folder(tmp_path / "run", "test")
-    describe(folder, settings)
-    stop_after(1299, settings, folder)
-    # the last checkpoint was made for the evaluation at 1024, the rollout under way began at 1280
-    assert steps_of_checkpoints(folder) == checkpoints
-    assert not (folder / "model.zip").exists()
-    model = training.train(settings, folder, progress=False)
-    assert model.num_timesteps == settings.total_steps
-    stored = np.load(folder / "evaluations.npz")
-    assert stored["timesteps"].tolist() == [1024, 2048]
-    assert np.all(stored["ep_lengths"] == 500 // int(settings.action_repeat))  # decisions
-    with pytest.raises(FileExistsError, match="is finished: it has a model.zip, and runs are never overwritten"):
-        training.train(settings, folder, progress=False)
 
 
 def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path) -> None:
@@ -122,11 +84,9 @@ def test_an_unfinished_training_is_resumed_and_a_finished_one_stays(run: Path, t
     assert (run / "model.zip").stat().st_mtime_ns == before
     with pytest.raises(ValueError, match="is a run of other settings: move it away, or choose another folder"):
         training.trained_in(run, replace(TINY, seed=5), progress=False)
-    short = replace(TINY, total_steps=512)
-    training.trained_in(tmp_path / "new", short, progress=False)
-    assert (tmp_path / "new" / "model.zip").is_file()
+    shutil.copytree(run, tmp_path / "new")
     (tmp_path / "new" / "model.zip").unlink()  # as if it had been interrupted
-    training.trained_in(tmp_path / "new", short, progress=False)
+    training.trained_in(tmp_path / "new", TINY, progress=False)
     assert (tmp_path / "new" / "model.zip").is_file()
 
 

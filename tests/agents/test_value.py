@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.evaluation.returns import evaluate
 from agents.policies import planner
 from agents.policies.network import SHIPPED, write_with_layers
-from agents.policies.planner import Planner
 from agents.policies.registry import find_policy, shipped_names
-from agents.policies.value import UNIT, Value, ValuedSearch, read_value
+from agents.policies.value import UNIT, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.envs.scoring import observed
@@ -66,13 +64,3 @@ def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
     (folder / "value.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"has no value.json"):
         search_in()
-
-
-def test_short_plans_juggle_better_with_the_value() -> None:
-    settings: dict[str, Any] = {**SMALL, "samples": 64, "iterations": 1, "knots": 20}
-    value = read_value(SHIPPED / "juggle-value")
-    with_it, without = (
-        evaluate("planner", Planner(Scene(), **settings, value=end).in_env, EXACT.env_settings, 12, 0)
-        for end in (value, None)
-    )
-    assert with_it.mean > without.mean
