@@ -125,14 +125,6 @@ def test_an_npz_file_of_simulate_brings_its_scene(
     np.testing.assert_array_equal(recording.impacts, again.impacts)
 
 
-def test_unix_times_count_from_the_first_row_if_the_torques_are_held(folder: Path) -> None:
-    (folder / "unix.csv").write_text("time,x_jack,torque\n1700000000.0,1,5\n1700000000.02,1,6\n")
-    (folder / "heard.csv").write_text("time\n1700000000.01\n")
-    recording = fit.read_recording(folder / "unix.csv", Scene(), folder / "heard.csv")
-    assert (recording.time, recording.torques is None) == (0.0, False)
-    assert np.asarray(recording.impacts) == pytest.approx([0.01], abs=1e-6)
-
-
 def test_the_documented_commands_converge(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

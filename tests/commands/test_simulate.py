@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import io
 import itertools
 import json
 import os
@@ -19,7 +18,6 @@ import pytest
 
 from jackbox_env import Scene, make_simulator
 from jackbox_env.commands import simulate
-from jackbox_env.tools.command_line import bar
 
 
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
@@ -50,21 +48,6 @@ def test_ctrl_c_leaves_no_folder_and_prints_a_message(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_an_error_while_files_are_written_leaves_no_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from jackbox_env.recording import page as report
-
-    def full(*arguments: object) -> None:
-        raise OSError(28, "No space left on device", "trajectory.html")
-
-    monkeypatch.setattr(report, "write_page", full)
-    with pytest.raises(SystemExit):
-        run(monkeypatch, tmp_path, "--seconds", "1", "--html", "--folder", "out")
-    assert "trajectory.html cannot be used: No space left on device" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = ["--scene", '{"restitution": 0.3, "drive": null}', "--fidelity", "balanced"]
     run(monkeypatch, tmp_path, "--seconds", "2", *scene, "--folder", "out")
@@ -77,31 +60,19 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monk
         assert [float(cell) for cell in list(csv.reader(file))[1][:13]] == deep
 
 
-@pytest.mark.parametrize("film", ["run.gif", "run.mp4"])
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of imageio
 def test_a_film_shows_the_motion_at_any_step(
-    film: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     imageio = pytest.importorskip("imageio.v3")
     options = ["--seconds", "0.6", "--dt", "0.3", "--state", "y_jack=-4.5", "--folder", "out"]
-    run(monkeypatch, tmp_path, *options, "--film", film)
-    frames = imageio.imread(tmp_path / film)
+    run(monkeypatch, tmp_path, *options, "--film", "run.mp4")
+    frames = imageio.imread(tmp_path / "run.mp4")
     assert len(frames) == 16  # at 0, 0.04, ... 0.6 s; an impact is at 0.32 s
     assert all((one != other).any() for one, other in itertools.pairwise(frames))  # it never stands still
     out, err = capsys.readouterr()
-    assert f"  {film}" in out.splitlines()
+    assert "  run.mp4" in out.splitlines()
     assert "frame" not in err  # no bar, as this is no terminal
-
-
-def test_bars_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("tqdm")
-    for terminal, shown, expected in ((True, True, True), (False, True, False), (True, False, False)):
-        written = io.StringIO()
-        monkeypatch.setattr(written, "isatty", lambda terminal=terminal: terminal)
-        monkeypatch.setattr(sys, "stderr", written)
-        with bar(3, shown) as moved:
-            moved(2)
-        assert ("2/3" in written.getvalue() or "step" in written.getvalue()) == expected
 
 
 def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(

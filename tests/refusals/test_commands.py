@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env.commands import fit, simulate
+from jackbox_env.commands import fit, play, simulate
 from tests.refusals.sentences import Refusal, assert_refused, command, refused, rows
 
 pytest.importorskip("scipy")
@@ -239,6 +239,12 @@ SIMULATIONS = [
         simulates("--state " + "[" * 100_000),
         "state must be a JSON list, got "
         "'[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[...",
+    ),
+    refused(command(play.main, "--out", "page.txt"), "out must be an .html file, which browsers open, got 'page.txt'"),
+    refused(
+        command(play.main, "--out", "page.html"),
+        "page.html exists, and is never overwritten: choose another place",
+        {"page.html": ""},
     ),
     refused(simulates("--folder /dev/null/runs"), "/dev/null cannot be used: Not a directory"),
     refused(simulates("--folder /proc/runs"), "/proc cannot be used: No such file or directory"),
