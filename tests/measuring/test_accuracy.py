@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Drive, Impact, Scene, make_simulator
+from jackbox_env import Impact, Scene, make_simulator
 from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.simulators.replay import flown, replayed
-from scripts.studies.accuracy.comparing import Reference, compare, quantities, reference_of, restarts
+from jackbox_env.simulators.replay import flown
+from scripts.studies.accuracy.comparing import compare, reference_of, restarts
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 Hit = tuple[float, int, int]
@@ -70,29 +70,6 @@ def test_pose_errors_are_the_farthest_that_a_wall_or_a_foot_is_off() -> None:
 
 
 # -- what happens inside a step ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("setting", [{"contact": "exact"}, {"substeps": 1}, {"substeps": 32}], ids=str)
-@pytest.mark.parametrize(
-    "drive",
-    [Chirp(), Drive(torque=lambda t: 3e4 * math.cos(t), force_x=lambda t: 8e3 * math.sin(3.0 * t))],
-    ids=["chirp", "functions"],
-)
-def test_steps_played_once_more_end_where_the_model_did(drive: Any, setting: dict[str, Any]) -> None:
-    scene = Scene(drive=drive)
-    simulator, rng = make_simulator(scene, **setting), np.random.default_rng(3)
-    simulator.reset(sample_start(scene, rng))
-    impacts = 0
-    for number in range(300):
-        torque = rng.uniform(-9e4, 9e4) if number % 3 else None
-        before, time = simulator.state, simulator.time
-        simulator.step(0.02, torque)
-        again = replayed(scene, before.tolist(), time, simulator.impacts, simulator.time, torque)
-        np.testing.assert_allclose(again.state, simulator.state, rtol=1e-6, atol=1e-6)
-        if torque is not None and isinstance(drive, Chirp):  # whatever happened in between
-            assert again.work == pytest.approx(torque * (simulator.state[2] - before[2]), rel=1e-6, abs=1e-6)
-        impacts += len(simulator.impacts)
-    assert impacts > 3
 
 
 def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
@@ -183,33 +160,6 @@ def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_its_dela
     assert comparison.flight == pytest.approx(0.02)
     wrong = [late[0], late[1]._replace(foot=(late[1].foot + 1) % 4), *late[2:]]
     assert compare(case, course._replace(impacts=wrong), reference).errors == pytest.approx([0.003])
-
-
-def test_flight_errors_end_with_the_first_impact_of_either() -> None:
-    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
-    reference = reference_of(case)
-    assert reference.impacts[0].time == pytest.approx(0.5)
-
-    def flight(first: int, impacts: list[Impact], known: Reference = reference) -> float:
-        """The error in flight of a jack that is 1 m off from a step on."""
-        states = reference.states + np.outer(np.arange(51) >= first, np.eye(12)[3])
-        return compare(case, Course(states, impacts, 0.0, 0.0, 1.0, False), known).flight
-
-    assert flight(25, reference.impacts) == 0.0  # from 0.5 s on
-    assert flight(20, reference.impacts) == 1.0  # from 0.4 s on, before the reference hits
-    assert flight(20, hits((0.39, 0, 0))) == 0.0
-    nothing = Reference(reference.times[:1], reference.states[:1], reference.impacts, 1)
-    assert math.isnan(flight(20, reference.impacts, nothing))
-
-
-def test_quantities_are_plain_numbers() -> None:
-    case = Case("straight", WEIGHTLESS, flying_at_a_wall(), 50)
-    simulator, reference = make_simulator(WEIGHTLESS, substeps=4), reference_of(case)
-    course = follow(simulator, case)
-    numbers = quantities(course, compare(case, course, reference), restarts(simulator, case, reference), case.dt)
-    assert (numbers["rate"], numbers["prefix"], numbers["sure"], numbers["escaped"]) == (1.0, 1, 1, False)
-    assert numbers["impulse"] == course.impacts[0].impulse
-    assert numbers["speed"] == pytest.approx(np.hypot(course.states[:, 9], course.states[:, 10]).mean())
 
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.settings import EnvSettings, setting_of
-from jackbox_env import FIDELITIES, JackInBoxVectorEnv, Scene, cheapest
+from jackbox_env import Scene, cheapest
 from jackbox_env.measure import choosing
 from jackbox_env.simulators.fidelity import Setting, resolve
 
@@ -53,23 +53,6 @@ def test_stored_settings_are_read_again(stored: dict[str, Any], meant: Setting) 
     settings = EnvSettings.of(stored)
     assert setting_of(settings.env_settings) == meant
     assert EnvSettings.of(asdict(settings)) == settings
-
-
-@pytest.mark.parametrize("name", FIDELITIES)
-def test_a_named_environment_is_bitwise_the_one_with_its_setting_also_in_a_batch(name: str) -> None:
-    named = gym.make("JackInBox-v0", fidelity=name)
-    spelled = gym.make("JackInBox-v0", **FIDELITIES[name]._asdict())
-    batch = JackInBoxVectorEnv(1, fidelity=name)
-    for env in (named, spelled, batch):
-        env.reset(seed=3)
-    impacts = 0
-    for _ in range(150):
-        info = named.step(None)[4]
-        impacts += info["impacts"]
-        batch.step(None)
-        np.testing.assert_array_equal(info["state"], spelled.step(None)[4]["state"])
-        np.testing.assert_array_equal(info["state"], batch.states[0])
-    assert impacts
 
 
 # -- the helper --------------------------------------------------------------------------------------------------------
@@ -130,15 +113,6 @@ def test_the_exact_model_is_not_blamed_for_steps_too_long_to_inspect() -> None:
 
 
 # -- several scenes ----------------------------------------------------------------------------------------------------
-
-
-def test_scenes_take_turns_and_each_is_under_its_drive_every_other_time() -> None:
-    scenes = [Scene(gravity=5.0), Scene(box_half_width=4.0), Scene(drive=None)]
-    starts = [angle * np.eye(12)[5] for angle in (math.pi / 4.0, 0.3)]
-    drawn = [case for case, _ in choosing._cases(scenes, starts, 12, 250, 0.02, seed=0)]
-    assert [case.scene for case in drawn] == scenes * 4
-    assert [case.state[5] for case in drawn] == ([math.pi / 4.0] * 3 + [0.3] * 3) * 2
-    assert [case.torques is None for case in drawn] == ([False] * 3 + [True, True, False]) * 2
 
 
 def test_one_setting_keeps_the_bounds_in_every_scene() -> None:

@@ -116,13 +116,6 @@ def test_rounded_times_are_even_and_dropped_frames_are_left_open(digits: int) ->
     assert recording.torques[[29, 30, 31, 32]].tolist() == [2.0, 2.0, 2.0, 3.0]  # that of the row before goes on
 
 
-def test_more_than_every_second_frame_may_be_missing() -> None:
-    frames = np.array([0, 1, 3, 5, 7, 9, 10, 12, 15])
-    recording = Recording.from_frame({"time": frames / 60.0, "x_jack": frames * 0.1}, STILL)
-    np.testing.assert_allclose(np.array(observed(recording, "x_jack"))[frames], frames * 0.1)
-    assert len(recording.states) == 16
-
-
 def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
     times = np.delete(0.02 * np.arange(50), [10, 11])
     torques = [0.5 * sum(Chirp().torque_means(time, 0.02)) for time in times.tolist()]

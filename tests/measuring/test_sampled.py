@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Recording, Scene, rollout, simulate
+from jackbox_env import Recording, Scene, rollout
 from jackbox_env.model.states import RATES, STATE_NAMES, Array
 
 pytest.importorskip("scipy")
 from jackbox_env.commands import fit as command
 from jackbox_env.commands import simulate as simulate_command
-from jackbox_env.commands.fit_page import impact_times
-from jackbox_env.measure.shooting import Motion, Parameters, Window, motion
 
 RATE, PARTS = 30, 16  # frames a second; constant torques for each
 TRUE, START = Scene(jack_mass=4.6, restitution=0.9, drive=None), Scene(drive=None)
@@ -68,7 +66,7 @@ def test_samples_of_dropped_frames_are_on_the_curve() -> None:
         np.testing.assert_allclose(np.asarray(torques), np.asarray(whole), atol=250.0)  # 3000 by a straight line
 
 
-@pytest.mark.parametrize("kind", ["sampled", "linear"])
+@pytest.mark.parametrize("kind", ["linear"])
 def test_a_torque_that_changes_gives_the_mass_and_a_note_names_its_kind(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,30 +85,6 @@ def test_a_torque_that_changes_gives_the_mass_and_a_note_names_its_kind(
         assert (f"The torques fit better with --torque-column {kind}.\n" in err) != converged
 
 
-def test_a_window_has_states_and_derivatives_at_its_rows() -> None:
-    recording = Recording(*measured("sampled"), 1.0 / RATE, torque="sampled")
-    parameters, start = Parameters(["jack_mass"], TRUE), 0.3 * np.eye(12)[5]
-    numbers = parameters.of(TRUE)
-
-    def moved(by: float) -> Motion:
-        window = motion(recording, Window(0, 2, 40, start=start + by * np.eye(12)[5]), parameters, numbers)
-        assert window is not None
-        return window
-
-    modelled = moved(0.0)
-    assert (modelled.smooth, modelled.states.shape, modelled.jacobians.shape) == (38, (39, 12), (39, 12, 13))
-    differences = (moved(1e-6).states - moved(-1e-6).states) / 2e-6
-    np.testing.assert_allclose(modelled.jacobians[:, :, 5], differences, atol=1e-5)
-
-
-def test_impacts_are_those_of_the_torques_in_a_step() -> None:
-    states, samples = measured("sampled")
-    recording = Recording(states, samples, 1.0 / RATE, torque="sampled")
-    fine = np.asarray(recording.torques).ravel()
-    motion = simulate(TRUE, [0.0] * 5 + [0.3] + [0.0] * 6, len(fine) / RATE / 4, torque=fine, dt=1.0 / RATE / 4)
-    np.testing.assert_allclose(impact_times(TRUE, recording, motion.states[::4]), motion.impacts["time"], atol=1e-9)
-
-
 def test_simulate_plays_the_torques_that_fit_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     states, samples = measured("sampled", 0.5)
@@ -124,17 +98,3 @@ def test_simulate_plays_the_torques_that_fit_reads(tmp_path: Path, monkeypatch: 
         read = command.read_recording(Path("motor.csv"), START, torque=kind)
         np.testing.assert_array_equal(played["torque"], np.asarray(read.torques).ravel())
         np.testing.assert_allclose(played["time"], np.arange(61) / RATE / 4)
-
-
-def test_kinds_of_torques_are_not_compared_if_the_jack_was_never_seen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    states, samples = measured("sampled", 1.0)
-    monkeypatch.chdir(tmp_path)
-    rows = np.column_stack([np.arange(len(states)) / RATE, states[:, :3], samples])
-    np.savetxt("box.csv", rows, delimiter=",", header=",".join(["time", *STATE_NAMES[:3], "torque"]))
-    monkeypatch.setattr(sys, "argv", ["jackbox fit", "box.csv"])
-    command.main()
-    out, err = capsys.readouterr()
-    assert "Not converged" in out
-    assert "torques fit better" not in err
