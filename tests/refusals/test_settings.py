@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv
 from jackbox_env.sb3 import make_sb3_vec_env
@@ -65,13 +65,3 @@ def test_set_attr_refuses_them(kind: str, name: str) -> None:
     assign = envs.set_wrapper_attr if kind == "wrapped" else envs.set_attr
     with pytest.raises(AttributeError, match=INSTEAD[name].format(name)):
         assign(name, "spin")
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium warns of the error before it raises it
-def test_set_attr_of_other_processes_refuses_them() -> None:
-    envs = AsyncVectorEnv([single])
-    try:
-        with pytest.raises(AttributeError, match="make a new environment with randomize="):
-            envs.set_attr("randomize", None)
-    finally:
-        envs.close(terminate=True)

@@ -17,7 +17,7 @@ from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import compare, reference_of
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
-from tests.states import inside, one_foot_on_wall
+from tests.states import one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
 NEEDS_MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco is not installed")
@@ -67,45 +67,6 @@ def test_threshold_loses_the_jack_through_a_wall_and_keeps_its_energy_all_the_wh
     assert escaped
 
 
-@EVERY_ENGINE
-def test_flight_runs_ahead_of_the_truth_by_half_a_substep(name: str) -> None:
-    # Semi-implicit Euler under constant acceleration a: x is ahead by a h t / 2, v is exact.
-    torque, steps = 14400.0, 20
-    for substeps in (1, 8):
-        simulator = started(name, Scene(drive=None), substeps, {2: 7.0, 5: -9.0, 11: 2.0}, time=1.0)
-        for _ in range(steps):
-            simulator.step(0.02, torque)
-        h, t = 0.02 / substeps, 0.4
-        ahead = 0.5 * h * t
-        wanted = [0, 0, 7.0 + 0.5 * t**2 + ahead, 0, -9.81 * (0.5 * t**2 + ahead), -9.0 + 2.0 * t]
-        wanted += [0, 0, t, 0, -9.81 * t, 2.0]
-        tolerance = 4e-5 if name == "box2d" else 1e-12  # float32, rounded 160 times
-        np.testing.assert_allclose(simulator.state, wanted, atol=tolerance)
-        assert simulator.torque == torque
-        assert simulator.time == pytest.approx(1.4, rel=1e-14)
-        assert simulator.impacts == []
-
-
-@EVERY_ENGINE
-def test_one_straight_bounce_is_the_impact_map(name: str) -> None:
-    # mujoco: the jack is on its spring for two substeps, whose turn of 0.9999 of a quarter leaves 1e-4.
-    tolerance = 1e-6 if name == "box2d" else 2e-4
-    for wall, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
-        for part in (0.1, 0.5, 0.9):  # of a substep, at which the foot reaches the wall
-            h, impacts = 0.005, []
-            distance = 5.0 - 3.0 * h * (2.0 + part)
-            simulator = started(name, WEIGHTLESS, 2, {3: x * distance, 4: y * distance, 9: x * 3.0, 10: y * 3.0})
-            state = simulator.state
-            for _ in range(4):
-                simulator.step(2 * h)
-                impacts += simulator.impacts
-            wanted, impulse = impact_map(WEIGHTLESS, state, wall, wall)
-            np.testing.assert_allclose(simulator.state[6:], wanted[6:], atol=3.0 * tolerance)
-            assert [hit[1:3] for hit in impacts] == [(wall, wall)]
-            assert impacts[0].time == pytest.approx(3 * h)  # the first substep that starts with the foot in the wall
-            assert impacts[0].impulse == pytest.approx(impulse, rel=tolerance)
-
-
 @EVERY_BASELINE
 def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) -> None:
     case = chirped(1, 150)
@@ -117,35 +78,6 @@ def test_the_first_impact_comes_in_time_and_the_run_stays_balanced(name: str) ->
     # A spring's energy is missing while a foot is on it.
     assert course.imbalance < {"threshold": 1e-8, "box2d": 1e-3, "mujoco": 0.05}[name] * course.energy
     assert len(course.impacts) > 1
-
-
-@EVERY_BASELINE
-def test_the_motion_follows_from_state_and_time_bitwise(name: str) -> None:
-    rng = np.random.default_rng(7)
-    run, twin = (baseline(name, Scene(jack_arm=4.0), 4) for _ in range(2))
-    run.reset(inside(run.scene, rng, speed=3.0))
-    impacts = 0
-    for _ in range(100):
-        twin.reset(run.state, run.time)
-        torque = rng.uniform(-3e4, 3e4) if rng.uniform() < 0.7 else None
-        for one in (run, twin):
-            one.step(0.02, torque)
-        np.testing.assert_array_equal(twin.state, run.state)
-        assert (twin.time, twin.torque) == (run.time, run.torque)
-        impacts += len(run.impacts)
-    assert impacts > 3
-
-
-@EVERY_BASELINE
-def test_a_jack_that_would_leave_is_refused_and_the_simulator_stays_as_it_was(name: str) -> None:
-    simulator = started(name, WEIGHTLESS, 1, {3: 4.5, 9: 90.0 if name == "box2d" else 200.0}, time=3.0)
-    state = simulator.state
-    with pytest.raises(RuntimeError, match="t = 3 s"):
-        simulator.step(0.02)
-    np.testing.assert_array_equal(simulator.state, state)
-    assert simulator.time == 3.0
-    case = Case("too fast", WEIGHTLESS, state, 5)
-    assert follow(simulator, case, inspect=simulator.inside_last_step).escaped
 
 
 def test_solve_ivp_has_the_proven_impacts_and_misses_a_foot_that_goes_in_and_out_within_a_step() -> None:

@@ -6,12 +6,9 @@ import copy
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from jackbox_env import cheapest, make_simulator
-from jackbox_env.measure.accuracy import follow
-from scripts import referee
+from jackbox_env import cheapest
 from scripts.studies.accuracy import accuracy, answers, engines, measured
 from scripts.studies.baselines import javascript
 
@@ -47,18 +44,6 @@ def test_an_adapter_plays_cases_with_loss_torque_and_chirp(name: str, point: flo
     assert max(one.pose or 0.0 for one in scores) < 0.2
 
 
-def test_box2d_v3_returns_the_fraction_of_the_speed_that_restitution_asks_for() -> None:
-    (case, _), setting = referee.reference()["bounce"], engines.setting_of("Box2D v3", installed("Box2D v3").points[-1])
-    assert setting.make is not None
-    for restitution in (1.0, 0.5):
-        scene = case.scene.changed(restitution=restitution, gravity=0.0)
-        start = np.array([0.0, 0.0, 0.0, 0.0, 4.5, 0.3, 0.0, 0.0, 0.0, 0.0, 3.0, 0.0])
-        straight = case._replace(scene=scene, state=start, steps=25)
-        simulators = setting.make(scene), make_simulator(scene, "exact")
-        rates, exact = (follow(one, straight, inspect=None).states[-1, 6:] for one in simulators)
-        assert rates == pytest.approx(exact, abs=2e-3)
-
-
 def test_an_adapter_that_fails_says_why_and_a_package_that_is_missing_has_no_version() -> None:
     assert javascript.version("no-such-package-of-jackbox") == ""
     installed("matter.js")
@@ -67,21 +52,6 @@ def test_an_adapter_that_fails_says_why_and_a_package_that_is_missing_has_no_ver
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
-
-
-def test_the_search_changes_a_setting_only_for_more_impacts_or_less_energy(monkeypatch: pytest.MonkeyPatch) -> None:
-    counts = {(0, 0): (3, 0.5), (1, 0): (4, 0.5), (1, 1): (4, 0.1), (1, 2): (4, 0.1), (1, 3): (3, 0.0)}
-
-    def scores_of(name: str, point: float, settings: dict[str, Any]) -> list[referee.Score]:
-        correct, energy = counts[settings["one"], settings["other"]]
-        return [referee.Score("bounce", 5, correct, False, None, 0.0, energy, False, None, None)]
-
-    engine = engines.Engine("numpy", "box2d3", {}, {"one": (0, 1), "other": (0, 1, 2, 3)})
-    monkeypatch.setitem(engines.ENGINES, "an engine", engine)
-    monkeypatch.setattr(engines, "scores_of", scores_of)
-    search = engines.search_of("an engine")
-    assert search["best"] == {"one": 1, "other": 1}
-    assert [row["correct"] for row in search["tried"]] == [6, 8, 8, 8, 6]  # at two points each
 
 
 @pytest.mark.parametrize("stored", RECORD["search"], ids=lambda stored: str(stored["setting"][0]))
@@ -108,12 +78,6 @@ def test_results_of_engines_that_are_not_installed_stay_as_stored_and_the_page_s
     page = accuracy.STUDY.page(RECORD | merged)
     assert page.count("Rapier is not installed here: its results are of an earlier run.") == 1
     assert page.count("not installed here") == 1
-
-
-def test_without_any_engine_only_those_of_this_project_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engines.Engine, "version", "")
-    (trial,) = engines.trials(1, 0.001)
-    assert trial["part"] == "engine_costs"
 
 
 def test_the_table_has_every_engine_and_the_claims_of_its_ends_hold() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,8 +10,8 @@ pytest.importorskip("stable_baselines3")
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
-from scripts.studies.learners.learners import interval, verdict, with_stored
-from scripts.studies.learners.measured import by_environment, evaluated_steps
+from scripts.studies.learners.learners import interval, verdict
+from scripts.studies.learners.measured import by_environment
 
 
 @pytest.mark.parametrize(
@@ -37,31 +34,6 @@ def test_intervals_are_of_trainings_without_the_best_and_the_worst_quarter() -> 
     assert middle == 11.25
     assert 0.0 < low < middle < high < 99.0
     assert interval(np.full(8, 3.0), np.full(4, 1.0)) == (2.0, 2.0, 2.0)
-
-
-def test_new_trainings_stand_beside_the_stored_ones_of_other_seeds() -> None:
-    def record(commit: str, *seeds: int) -> dict[str, Any]:
-        rows = [{"task": "spin", "fidelity": "exact", "seed": seed, "commit": commit} for seed in seeds]
-        return {"made": {"trained": f"here, commit {commit}."}, "trained": rows}
-
-    joined = with_stored(record("new", 3, 2), record("old", 1, 2))
-    assert [(row["seed"], row["commit"]) for row in joined["trained"]] == [(1, "old"), (2, "new"), (3, "new")]
-    assert joined["made"]["trained"] == "here, commit new; here, commit old."
-    assert with_stored(record("new", 1, 2), record("old", 1, 2)) == record("new", 1, 2)
-
-
-def test_one_training_has_no_finite_interval() -> None:
-    assert interval(np.array([3.0]), np.full(8, 1.0)) == (2.0, -np.inf, np.inf)
-
-
-def test_a_curve_has_a_point_for_each_evaluation(tmp_path: Path) -> None:
-    """An interrupted training has a checkpoint where it stopped, and none at an evaluation just after."""
-    (tmp_path / "checkpoints").mkdir()
-    for steps in (512, 700, 1024, 1536):
-        (tmp_path / "checkpoints" / f"ppo_{steps}.zip").touch()
-    ones = np.ones((3, 2))
-    np.savez(tmp_path / "evaluations.npz", timesteps=[512, 1030, 1536], results=ones, ep_lengths=ones)
-    assert evaluated_steps(tmp_path, 2) == [512, 1024, 1536]
 
 
 def test_plans_by_an_environment_of_the_same_model_earn_the_same() -> None:

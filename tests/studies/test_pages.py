@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,8 @@ import matplotlib.image
 import numpy as np
 import pymunk
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from jackbox_env import Scene, make_simulator
-from scripts.studies import timing
 from scripts.studies.accuracy import accuracy
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
@@ -70,31 +66,7 @@ def test_a_picture_of_derivatives_is_drawn_from_the_stored_numbers(part: str, tm
     assert matplotlib.image.imread(tmp_path / "picture.png")[..., 3].any()
 
 
-def test_the_picture_of_returns_has_the_upper_bounds_and_no_label_on_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[Figure] = []
-    save = Figure.savefig
-
-    def saved(figure: Figure, *arguments: Any, **settings: Any) -> None:
-        drawn.append(figure)
-        save(figure, *arguments, **settings)
-
-    monkeypatch.setattr(Figure, "savefig", saved)
-    results.draw(stored("results"), tmp_path)
-    labels = [[text for text in axes.texts if text.get_text()] for axes in drawn[0].axes]
-    bounds = [[text.get_text() for text in of if "upper bound" in text.get_text()] for of in labels]
-    assert bounds == [["upper bound 347"], ["upper bound 450"], []]  # rattle's is off the scale
-    for of in labels:
-        boxes = [Text.get_window_extent(text) for text in of]  # without the lines that lead to them
-        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
-
-
 # -- figures -----------------------------------------------------------------------------------------------------------
-
-
-def test_ratios_are_computed_within_a_round() -> None:
-    assert timing.ratios({"a": [1.0, 4.0], "b": [2.0, 2.0]}, "a", "b") == [0.5, 2.0]
 
 
 def test_differences_are_computed_within_passes_and_noise_is_reported() -> None:

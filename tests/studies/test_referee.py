@@ -15,9 +15,8 @@ import pytest
 
 from jackbox_env.measure.accuracy import follow
 from jackbox_env.mechanics import energy
-from jackbox_env.model.states import OMEGA_BOX, THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Array
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Array
 from jackbox_env.simulators import Impact, make_simulator
-from jackbox_env.tools.command_line import ROOT
 from scripts import referee
 from tests import reference
 
@@ -152,14 +151,6 @@ def test_angles_may_wrap(name: str, least: float) -> None:
     assert (wrapped != states).any()
 
 
-def test_the_work_is_that_of_the_torque_on_the_box() -> None:
-    known, times, states, _ = played("flight")
-    unmoved = states.copy()
-    unmoved[:, OMEGA_BOX] = states[0, OMEGA_BOX]  # its angle goes on as before
-    assert (referee.score(known, times, states, None).imbalance or 0.0) < 1e-13
-    assert (referee.score(known, times, unmoved, None).imbalance or 0.0) > 0.01
-
-
 def test_a_state_after_an_impact_at_a_step_end_counts() -> None:
     known, times, states, _ = played("bounce")
     twice = np.repeat(states, 2, axis=0)
@@ -248,16 +239,6 @@ def test_bad_states_and_impacts_are_refused_in_a_sentence(
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("language", "command"), [("python", [sys.executable, "-c"]), pytest.param("js", ["node", "-e"], marks=NODE)]
-)
-def test_a_program_of_the_page_reads_the_file(language: str, command: list[str]) -> None:
-    (program,) = re.findall(rf"```{language}\n(.*?)```", reference.PAGE.read_text(), re.DOTALL)
-    assert len(program.splitlines()) <= 10
-    done = subprocess.run([*command, program], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert "One bounce: a drop, off centre. Gravity: 9.81\n1.1101113912089" in done.stdout
 
 
 @NODE

@@ -38,18 +38,6 @@ def test_a_curve_is_the_interquartile_mean_of_the_trainings() -> None:
     assert (middle < high).all()
 
 
-def test_chirps_are_swept_from_the_same_starts_and_earn_what_the_environment_pays() -> None:
-    tried = [measured.chirps()[0], measured.chirps()[-1]]
-    returns = measured.returns_of("rattle", tried, 2, 5)
-    for number, fields in enumerate(tried):
-        scene = {"drive": fields}
-        env = gym.make("JackInBox-v0", contact="exact", task="rattle", torque="chirp", scene=scene)
-        env.reset(seed=6)
-        earned = sum(float(env.step(0.0)[1]) for _ in range(500))
-        assert returns[number, 1] == pytest.approx(earned, abs=1e-9)
-    assert len(measured.chirps()) == 400
-
-
 def test_spin_pays_nothing_before_a_jack_can_have_fallen_to_a_wall() -> None:
     env = JackInBoxVectorEnv(64, contact="exact", task="spin")
     env.reset(seed=3)

@@ -136,12 +136,6 @@ def test_parts_that_are_unknown_or_missing_are_refused(
     assert CALLS == []
 
 
-def test_new_results_are_joined_with_stored_ones(run: Run) -> None:
-    run()
-    joined = replace(SMALL, joined=lambda new, stored: {**new, "squared": stored["squared"] + new["squared"]})
-    assert run("--runs", "again", of=joined)["squared"] == [0, 1, 4, 0, 1, 4]
-
-
 def test_a_machine_is_named_once_with_all_commits_of_its_trials() -> None:
     commits = ["one, commit b", "two, commit c", "one, commit a", "one, commit b"]
     rows = [{"part": "squared", "result": number, "made": made} for number, made in enumerate(commits)]
