@@ -33,7 +33,8 @@ SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 # Parts of the buffer, and their lengths.
 PARTS = {
     "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
-    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "JACK_ENERGY": 1, "MOMENTUM": 3, "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
+    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "JACK_ENERGY": 1, "MOMENTUM": 3,
+    "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
     "GAP": 1, "RESTING": 1,
 }  # fmt: skip
 

@@ -54,7 +54,8 @@ class Page(Opened):
 @pytest.mark.parametrize(
     ("policy", "scripts", "why"),
     [
-        ("script-src 'unsafe-inline'", True, "forbid WebAssembly"), ("script-src 'self'", True, "forbid the page's script"),
+        ("script-src 'unsafe-inline'", True, "forbid WebAssembly"),
+        ("script-src 'self'", True, "forbid the page's script"),
         ("", False, "JavaScript is switched off"),
     ],
 )  # fmt: skip
