@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -72,10 +72,6 @@ speed: .venv/ready
 
 costs: .venv/ready
 	@$(BIN)/python scripts/studies/costs/costs.py
-
-# Uses of derivatives: iLQR, a periodic bounce, Lyapunov exponents; about a minute.
-derivatives: .venv/ready
-	@$(BIN)/python scripts/studies/derivatives/derivatives.py
 
 # 1,500 fits of recordings, docs/fitting.md.
 fitting: .venv/ready

@@ -9,7 +9,7 @@ Law: flight in closed form (``exact/flight.py``); at an impact all feet that tou
     impulse of the whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the
     weight on a wall, m_j g dt in a step.
 Order: none; the error is rounding for every control step. The system is chaotic and multiplies any error by about 10
-    per impact (docs/derivatives.md), so even this model predicts only 11 to 16 impacts.
+    per impact (docs/physics.md), so even this model predicts only 12 to 16 impacts.
 Cost: below 0.1 microseconds per control step in a batch, in proportion to the number of impacts. A step with resting
     feet takes about 6 microseconds (docs/costs.md).
 Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for

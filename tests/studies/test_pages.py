@@ -6,7 +6,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pymunk
 import pytest
@@ -18,7 +17,6 @@ from scripts.studies import timing
 from scripts.studies.accuracy import accuracy
 from scripts.studies.costs import costs
 from scripts.studies.costs import measured as cost_steps
-from scripts.studies.derivatives import derivatives
 from scripts.studies.fitting import fitting
 from scripts.studies.recipes import recipes
 from scripts.studies.results import results
@@ -28,7 +26,7 @@ from scripts.studies.study import as_text
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, derivatives, fitting, recipes, results, speed)}
+STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, fitting, recipes, results, speed)}
 
 
 def stored(name: str) -> Any:
@@ -62,12 +60,6 @@ def test_other_numbers_would_make_another_page() -> None:
     data = stored("results")
     data["rows"][0]["mean"] += 50.0
     assert STUDIES["results"].page(data) != (DOCS / "results.md").read_text()
-
-
-@pytest.mark.parametrize("part", derivatives.PICTURED)
-def test_a_picture_of_derivatives_is_drawn_from_the_stored_numbers(part: str, tmp_path: Path) -> None:
-    derivatives.PICTURED[part].draw(stored("derivatives")[part], tmp_path / "picture.png")
-    assert matplotlib.image.imread(tmp_path / "picture.png")[..., 3].any()
 
 
 def test_the_picture_of_returns_has_the_upper_bounds_and_no_label_on_another(
