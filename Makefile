@@ -25,7 +25,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -69,9 +69,6 @@ throughput: .venv/ready
 
 speed: .venv/ready
 	@$(BIN)/python scripts/studies/speed/speed.py
-
-costs: .venv/ready
-	@$(BIN)/python scripts/studies/costs/costs.py
 
 # 1,500 fits of recordings, docs/fitting.md.
 fitting: .venv/ready
