@@ -71,8 +71,8 @@ def evened(
     turning = [header for header in left_out if torques is None and _TORQUE.search(header)]
     if turning and scene.drive is not None:
         raise ValueError(
-            f"{table.header()} {check.shown(turning[0])} is left out, and the scene's drive would turn the box: name it "
-            "as that of torque, or leave the drive out (--torque none)"
+            f"{table.header()} {check.shown(turning[0])} is left out, and the scene's drive would turn the box: name "
+            "it as that of torque, or leave the drive out (--torque none)"
         )
     if torques is not None and torque != "held":
         torques = without_gaps(filled(table, "torque", torques), rows)
