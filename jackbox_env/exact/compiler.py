@@ -82,9 +82,19 @@ def intermediate_code(
 
 @cache
 def _native() -> ModuleType:
-    """The module that imports numba, without interruption: a second import of what is half imported fails."""
+    """The module that imports numba, without interruption: a second import of what is half imported fails.
+
+    Raises:
+        ImportError: there is no numba.
+    """
     with uninterrupted():
-        from jackbox_env.exact import pipelines
+        try:
+            from jackbox_env.exact import pipelines
+        except ModuleNotFoundError as error:
+            raise ImportError(
+                'the exact model, fidelity="exact", and pictures as observations need numba, which CPython 3.11 to 3.14 '
+                f'have: there is no {error.name}; fidelity="balanced" needs none'
+            ) from error
     return pipelines
 
 
