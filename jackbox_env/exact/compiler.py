@@ -92,8 +92,8 @@ def _native() -> ModuleType:
             from jackbox_env.exact import pipelines
         except ModuleNotFoundError as error:
             raise ImportError(
-                'the exact model, fidelity="exact", and pictures as observations need numba, which CPython 3.11 to 3.14 '
-                f'have: there is no {error.name}; fidelity="balanced" needs none'
+                'the exact model, fidelity="exact", and pictures as observations need numba, which CPython 3.11 to '
+                f'3.14 have: there is no {error.name}; fidelity="balanced" needs none'
             ) from error
     return pipelines
 

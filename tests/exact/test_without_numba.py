@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
+
+import jackbox_env
 
 CODE = """
 import sys
@@ -43,3 +47,10 @@ def test_without_numba_pymunk_runs_and_a_sentence_names_the_pythons_that_have_it
         'there is no numba; fidelity="balanced" needs none'
     )
     assert done.stdout.splitlines() == 6 * [sentence], done.stdout + done.stderr
+
+
+def test_only_what_compiles_imports_numba() -> None:
+    package = Path(jackbox_env.__file__).parent
+    imports = re.compile(r"^ *(import|from) (numba|llvmlite)\b", re.MULTILINE)
+    importing = {path.name for path in package.rglob("*.py") if imports.search(path.read_text(encoding="utf-8"))}
+    assert importing == {"pipelines.py", "code_cache.py"}
