@@ -12,7 +12,8 @@ import pytest
 
 from agents.policies.network import SHIPPED, WEIGHTS
 from jackbox_env import __version__
-from scripts.cards import card, datasets_card
+from scripts.cards import card
+from scripts.dataset import datasets_card
 
 ROOT = Path(__file__).parents[2]
 RECORD = json.loads((ROOT / "docs" / "results.json").read_text())
