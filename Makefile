@@ -22,10 +22,10 @@ ROUNDED := $(addprefix tests/,agents batches commands environment measuring stud
 	test_first_day.py test_lesson.py test_package.py)
 # Those in which networks play and train, and derivatives.
 ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py \
-	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
+	saved_models.py training.py value.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed costs derivatives fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -69,13 +69,6 @@ throughput: .venv/ready
 
 speed: .venv/ready
 	@$(BIN)/python scripts/studies/speed/speed.py
-
-costs: .venv/ready
-	@$(BIN)/python scripts/studies/costs/costs.py
-
-# Uses of derivatives: iLQR, a periodic bounce, Lyapunov exponents; about a minute.
-derivatives: .venv/ready
-	@$(BIN)/python scripts/studies/derivatives/derivatives.py
 
 # 1,500 fits of recordings, docs/fitting.md.
 fitting: .venv/ready

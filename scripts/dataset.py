@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +30,6 @@ from agents.settings import EnvSettings
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import ROOT, command_line
 from jackbox_env.tools.files import write_text
-from scripts.cards import datasets_card
 
 PACKAGES = ("jackbox", "gymnasium", "numpy", "numba", "pymunk", "minari")
 TEXT = """The jack in a box, task {}, policy {}: episodes of 10 s on the exact contact model. infos/state holds x, y and
@@ -107,6 +107,15 @@ def write(task: str, name: str, acting: PolicyWithEnv, episodes: int) -> tuple[s
         earned.append(episode.rewards.sum())
     print(f"{dataset_id}: {len(earned)} episodes replayed bit for bit, mean return {np.mean(earned):.1f}", flush=True)
     return dataset_id, len(earned), int(dataset.total_steps), float(np.mean(earned))
+
+
+def datasets_card(rows: Iterable[tuple[str, int, int, float]], versions: Mapping[str, str]) -> str:
+    """The card of datasets: name, episodes, steps and mean return of each; ``versions`` that they were made with."""
+    listed = list(rows)
+    lines = "".join(f"| `{name}` | {count} | {steps:,} | {mean:.1f} |\n" for name, count, steps, mean in listed)
+    made = ", ".join(f"{name} {version}" for name, version in versions.items())
+    page = Path(__file__).with_name("datasets_card.md").read_text()
+    return page.format(rows=lines, first=listed[0][0], versions=made)
 
 
 @command_line

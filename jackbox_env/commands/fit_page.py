@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
 _ROWS = 10  # that are listed as left out
+_EDGE = 10.0  # of the noise: residuals are drawn no farther out, so that a row that was left out sets no scale
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -110,7 +111,8 @@ def write_fit_page(
         heard = "" if recording.impacts is None else "; strokes at the lower edge: impacts that were heard"
         body += [f"<h2>{html.escape(name)}</h2>", _figure(_compared(recording, result.motions[number], times))]
         body += [f"<p>{text}{heard}.</p>", _figure(_residuals(result, recording, result.motions[number], times))]
-        body.append("<p>(Observed - fitted) over the noise; about 95 % should lie within the band of 2.</p>")
+        beyond = f"points at the edge of {_EDGE:g} lie there or beyond"
+        body.append(f"<p>(Observed - fitted) over the noise; about 95 % should lie within the band of 2; {beyond}.</p>")
     what = names[0] if len(names) == 1 else f"{len(names)} recordings"
     with new_file(path) as partial:
         partial.write_text(_PAGE.format(recordings=html.escape(what), body="\n".join(body)), encoding="utf-8")
@@ -183,7 +185,7 @@ def _residuals(result: Fit, recording: Recording, motion: Array, impacts: Sequen
     states = np.asarray(recording.states)
     times = recording.time + recording.dt * np.arange(len(states))
     noise = np.array([result.noise.get(name, np.nan) for name in STATE_NAMES])
-    scaled = (states - motion) / noise
+    scaled = np.clip((states - motion) / noise, -_EDGE, _EDGE)
     axes.axhspan(-2.0, 2.0, color=GREY, alpha=0.15, linewidth=0.0)
     for edge in (-2.0, 2.0):
         axes.axhline(edge, color=GREY, linewidth=0.8, zorder=3)
@@ -198,7 +200,7 @@ def _residuals(result: Fit, recording: Recording, motion: Array, impacts: Sequen
         heard, fitted = np.asarray(recording.impacts), np.array(impacts)
         heard = heard[np.isfinite(np.interp(heard, times, motion[:, 0]))]  # where there is a fit
         of_heard, of_fit = nearest_pairs(heard, fitted)
-        errors = (heard[of_heard] - fitted[of_fit]) / result.noise["impacts"]
+        errors = np.clip((heard[of_heard] - fitted[of_fit]) / result.noise["impacts"], -_EDGE, _EDGE)
         axes.plot(heard[of_heard], errors, "x", color=GREY, markersize=5, label="impacts", zorder=4)
     if len(axes.lines) > 2:  # than the edges
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, markerscale=2.0)

@@ -7,6 +7,7 @@ pymunk they are plain Python, which loads no compiler. A user's functions get th
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -44,6 +45,7 @@ Stepped = tuple[Array, float, float, Sequence[Impact], float, Seen, Sequence[flo
 # What was read and compiled of each user's task, observation or action, as long as that lives.
 _compiled: WeakKeyDictionary[Any, UsersFunctions] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
+_MANY = 100  # numbers of a function that takes more than seconds to compile
 _NOTHING: Seen = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
 
 
@@ -287,52 +289,39 @@ def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
     Raises:
         TypeError: they do not, or cannot be compiled.
     """
-    from jackbox_env.exact.compiler import is_disabled
-    from jackbox_env.exact.score import one_term
-
     if users is None:
         return {"task_terms": task.values}
-    ends = {} if task.over is None else {"task_over": task.over}
-    if is_disabled():
-        return {"task_terms": partial(_plain_terms, users.compiled(task.values, inner=True)), **ends}
-    single = _is_number(users, task.values, "task", (0.0, 0.0), len(task.terms), "term")
-    if task.over is not None:
-        returned, named = _returned_by(users, task.over, "task", (0.0, 0.0))
-        if returned is not bool:
-            raise TypeError(
-                f"the task's function {task.over.__qualname__} must return True or False, got what numba calls {named}"
-            )
-    return ({"task_terms": one_term, "task_number": task.values} if single else {"task_terms": task.values}) | ends
+    count, further = len(task.terms), (0.0, 0.0)
+    numbers = (bool, float) if count == 1 else ()
+    what = f"a tuple of {count} numbers, one for each term"
+    _check_returned(users, task, task.values, further, what, (float,) * count, *numbers)
+    if task.over is None:
+        return {"task_terms": task.values}
+    _check_returned(users, task, task.over, further, "True or False", bool)
+    return {"task_terms": task.values, "task_over": task.over}
 
 
 def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an observation."""
-    from jackbox_env.exact.compiler import is_disabled
     from jackbox_env.exact.score import observe_landing, observe_values
 
     if users is None:
         return {} if observation is STATE else {"observe": observe_landing}
-    if not is_disabled() and _is_number(
-        users, observation.values, "observation", (0.0,), len(observation.names), "name"
-    ):
-        raise TypeError(f"an observation's values must return a tuple, got a number from {observation.values}")
+    count = len(observation.names)
+    what = f"a tuple of {count} numbers, one for each name"
+    _check_returned(users, observation, observation.values, (0.0,), what, (float,) * count)
     low, high = (bound.astype(np.float64) for bound in observation.bounds)
     return {"observe": observe_values, "observation_values": observation.values, "LOW": low, "HIGH": high}
 
 
 def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
     """The same for an action."""
-    from jackbox_env.exact.compiler import is_disabled
     from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
-    example: Any = (0.0,) * action.size or 0
     read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)
-    if users and not is_disabled():
-        returned, named = _returned_by(users, action.torque, "action", (example, 0.0, 0.0))
-        if returned not in (bool, float):
-            raise TypeError(
-                f"the action's function {action.torque.__qualname__} must return a number, got what numba calls {named}"
-            )
+    if users is not None:
+        example: Any = (0.0,) * action.size or 0
+        _check_returned(users, action, action.torque, (example, 0.0, 0.0), "a number", bool, float)
     return {"action_torque": action.torque, "action_in": read}
 
 
@@ -341,45 +330,42 @@ _SUBSTITUTES: dict[type, Callable[[Any, UsersFunctions | None], dict[str, Any]]]
 }  # fmt: skip
 
 
-def _is_number(
-    users: UsersFunctions, function: Any, owner: str, further: tuple[Any, ...], count: int, each: str
-) -> bool:
-    """Whether a user's function returns a number, if ``count`` is 1, and not a tuple of ``count`` numbers.
+def _check_returned(
+    users: UsersFunctions, owner: Any, function: Any, further: tuple[Any, ...], requirement: str, *allowed: Any
+) -> None:
+    """Check that a function of a user's task, observation or action can be compiled and returns what is ``allowed``.
+
+    For these and ``further`` see ``UsersFunctions.returned_by``. Under NUMBA_DISABLE_JIT nothing is checked.
 
     Raises:
         TypeError: it returns something else, or cannot be compiled.
     """
-    returned, named = _returned_by(users, function, owner, further)
-    single = returned in (bool, float)
-    if returned != (float,) * count and not (single and count == 1):
-        raise TypeError(
-            f"the {owner}'s function {function.__qualname__} must return a tuple of {count} floats, one for each "
-            f"{each}, got what numba calls {named}"
-        )
-    return single
+    from jackbox_env.exact.compiler import is_disabled
 
-
-def _plain_terms(values: Callable[..., Any], *arguments: Any) -> tuple[float, ...]:
-    """What a task's function returns, as a tuple; its types are not checked."""
-    returned = values(*arguments)
-    return returned if isinstance(returned, tuple) else (returned,)
-
-
-def _returned_by(
-    users: UsersFunctions, function: Callable[..., Any], owner: str, further: tuple[Any, ...]
-) -> tuple[Any, str]:
-    """As ``UsersFunctions.returned_by``.
-
-    Raises:
-        TypeError: the function cannot be compiled.
-    """
+    if is_disabled():
+        return
+    name = f"the {type(owner).__name__.lower()}'s function {function.__qualname__}"
+    if isinstance(allowed[0], tuple) and len(allowed[0]) > _MANY:
+        print(f"jackbox compiles {name}, in each process anew ({len(allowed[0])} numbers)", file=sys.stderr, flush=True)
     try:
-        return users.returned_by(function, further)
+        returned, named = users.returned_by(function, further)
     except Exception as error:
         raise TypeError(
-            f"the {owner}'s function {function.__qualname__} cannot be compiled, as contact='exact' needs: "
-            f"{_reason(error)}{_without_numpy(function)}"
+            f"{name} cannot be compiled, as contact='exact' needs: {_reason(error)}{_without_numpy(function)}"
+            f"{_without_compiling(owner)}"
         ) from error
+    if returned not in allowed:
+        raise TypeError(f"{name} must return {requirement}, got what numba calls {named}")
+
+
+def _without_compiling(owner: Task | Observation | Action) -> str:
+    """The advice if pymunk's environments accept what cannot be compiled; else empty."""
+    nouns = Nouns(TASKS["juggle"])._replace(**cast(Any, {type(owner).__name__.lower(): owner}))
+    try:
+        tried(PlainFunctions(Scene(), nouns), np.zeros(12), 0.02)
+    except Exception:
+        return ""
+    return "; environments with fidelity='balanced' run it"
 
 
 def _without_numpy(function: Callable[..., Any]) -> str:
@@ -391,6 +377,8 @@ def _without_numpy(function: Callable[..., Any]) -> str:
 
 def _reason(error: Exception) -> str:
     """The line of numba's error that has the reason."""
+    if isinstance(error, RecursionError):
+        return "its functions call one another too deeply"
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     if "NRT required" in text:
         return "it makes an array, a list or a dict; use single numbers"

@@ -14,6 +14,7 @@ signature, when a function is first called with it.
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -34,9 +35,9 @@ SHIPPED_FOR = "x86-64-v3"  # Intel's CPUs from Haswell (2013) on, AMD's from Exc
 _NEEDS = {"+avx2", "+bmi", "+bmi2", "+cx16", "+f16c", "+fma", "+lzcnt", "+movbe", "+popcnt", "+sahf", "+xsave"}
 # Functions that take long to compile: their purpose, and the time.
 _LONG = {
-    "run": ("all environments", "10 seconds"),
-    "settle_and_advance": ("feet at rest", "5 seconds"),
-    **dict.fromkeys(("mark_smooth", "matrices", "pull_back"), ("derivatives", "5 seconds")),
+    "run": ("all environments", "10 s on a fast machine, 40 s on a slow one"),
+    "settle_and_advance": ("feet at rest", "5 to 20 s"),
+    **dict.fromkeys(("mark_smooth", "matrices", "pull_back"), ("derivatives", "5 to 20 s")),
 }
 
 
@@ -47,12 +48,10 @@ def warn_once(text: str) -> None:
 
 
 @cache
-def _announce(purpose: str, time: str) -> None:
+def _announce(purpose: str, time: str, folder: Path) -> None:
     """Print to standard error that compiling for this purpose begins, once in this process."""
-    print(
-        f"jackbox compiles its exact contact model for {purpose}, once on this machine ({time})",
-        file=sys.stderr, flush=True,
-    )  # fmt: skip
+    often = "once on this machine" if os.access(folder, os.W_OK) else "in each process, as it can be kept nowhere"
+    print(f"jackbox compiles its exact contact model for {purpose}, {often} ({time})", file=sys.stderr, flush=True)
 
 
 def _checksum(path: Path, code: bytes) -> bytes:
@@ -101,7 +100,7 @@ class CodeCache(NullCache):
             except Exception as error:  # whatever it is, compiling anew repairs it
                 warn_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
         if self._long is not None:
-            _announce(*self._long)
+            _announce(*self._long, self._folders[-1])
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:

@@ -82,9 +82,19 @@ def intermediate_code(
 
 @cache
 def _native() -> ModuleType:
-    """The module that imports numba, without interruption: a second import of what is half imported fails."""
+    """The module that imports numba, without interruption: a second import of what is half imported fails.
+
+    Raises:
+        ImportError: there is no numba.
+    """
     with uninterrupted():
-        from jackbox_env.exact import pipelines
+        try:
+            from jackbox_env.exact import pipelines
+        except ModuleNotFoundError as error:
+            raise ImportError(
+                'the exact model, fidelity="exact", and pictures as observations need numba, which CPython 3.11 to '
+                f'3.14 have: there is no {error.name}; fidelity="balanced" needs none'
+            ) from error
     return pipelines
 
 
@@ -140,22 +150,26 @@ class _Compilation:
         ):
             return _compilation((), True).compiled(function, inner)
         if (function, inner) not in self._twins:
-            self._twins[function, inner] = function  # numba refuses a function that calls itself
+            self._twins[function, inner] = function
             try:
                 self._twins[function, inner] = self._twin(function, inner, foreign, names)
             except BaseException:
                 del self._twins[function, inner]
                 raise
+        elif self._twins[function, inner] is function and not is_disabled():
+            raise TypeError(f"{function.__name__} calls itself")
         return self._twins[function, inner]
 
     def _twin(self, function: Any, inner: bool, foreign: bool, names: set[str]) -> Any:
         """The function compiled, which uses these ``names`` and is ``foreign`` if it is not of this package."""
+        if function.__code__.co_kwonlyargcount:
+            raise TypeError(f"{function.__name__} has arguments by keyword only")
         namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
         known = self._counterparts(names, namespace)
         cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
         defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
         twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
-        twin.__module__ = function.__module__
+        twin.__module__ = function.__module__ or "__main__"  # exec makes functions without a module
         twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
         inline, checked = inner and function in _INLINED, foreign and self._users
         return _jitted(twin, inner, inline, checked, self._on_disk and not inner)
@@ -206,7 +220,7 @@ class UsersFunctions(_Compilation):
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
         """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
 
-        That is ``bool``, ``float`` for another real number, ``(float, float)`` for two of one type, or None.
+        That is ``bool``, ``float`` for another real number, ``(float, float)`` for two numbers, or None.
 
         Raises:
             Exception: numba cannot compile it.
@@ -215,11 +229,11 @@ class UsersFunctions(_Compilation):
         types, arguments = native.types, tuple(map(native.typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
         with _LOCK, uninterrupted():
             returned = native.return_type(self.compiled(function, inner=True), arguments)
-        many = returned if isinstance(returned, types.UniTuple) else types.UniTuple(returned, 1)
-        if not isinstance(many.dtype, types.Number | types.Boolean) or many.dtype in types.complex_domain:
+        kinds = tuple(returned) if isinstance(returned, types.BaseTuple) else (returned,)
+        if not {*map(type, map(types.unliteral, kinds))} <= {types.Float, types.Integer, types.Boolean}:
             return None, str(returned)
-        if many is returned:
-            return (float,) * len(many), str(returned)
+        if isinstance(returned, types.BaseTuple):
+            return (float,) * len(kinds), str(returned)
         return bool if isinstance(returned, types.Boolean) else float, str(returned)
 
 
@@ -376,6 +390,11 @@ def is_compiled(_address: Any) -> bool:
     return True
 
 
+def numbers_in(values: Any) -> Any:
+    """A number, or those of a tuple, as an array of float64 that lasts as long as the function that calls this."""
+    return np.array(values, dtype=np.float64, ndmin=1)
+
+
 def unpacked_as(example: Callable[[], T]) -> Callable[[Any], T]:
     """A function that returns the value of an address from :func:`packed`, of the type of ``example()``."""
 
@@ -391,7 +410,7 @@ _EXAMPLES: dict[Callable[..., Any], Callable[[], Any]] = {}
 
 def _intrinsic(function: Any) -> Any:
     """The compiled counterpart of a function that only compiled code can have, or None."""
-    known = function in (packed, is_compiled) or function in _EXAMPLES or function in _SIGNATURES
+    known = function in (packed, is_compiled, numbers_in) or function in _EXAMPLES or function in _SIGNATURES
     return _make_intrinsic(function) if known else None
 
 
@@ -403,6 +422,8 @@ def _make_intrinsic(function: Any) -> Any:
     if function is is_compiled:
         return bool
     native = _native()
+    if function is numbers_in:
+        return native.spread
     if function is packed:
         return native.stored_at(lambda: [made() for made in _EXAMPLES.values()])
     if function in _SIGNATURES:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numba
 from numba import njit, typeof, types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 from jackbox_env.tools.signals import uninterrupted
 
@@ -315,6 +315,37 @@ def stored_at(examples: Callable[[], list[Any]]) -> Any:
         return types.int64(address, value), generate
 
     return store
+
+
+@overload(float, strict=False)
+def _float_of(number: Any) -> Any:
+    """The number of a comparison, which numba's ``float`` refuses."""
+    return (lambda number: 1.0 if number else 0.0) if isinstance(number, types.Boolean) else None
+
+
+@intrinsic
+def spread(typing: Any, values: Any) -> Any:
+    """Compiled, it returns a number, or the numbers of a tuple, as an array of float64 on the stack.
+
+    A loop over an array takes less time to compile than one over a tuple, for which numba writes a case for each item.
+    """
+    several, kind = isinstance(values, types.BaseTuple), types.Array(types.float64, 1, "C")
+    kinds = tuple(values) if several else (values,)
+
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        tools: Any = cgutils
+        count, width = (context.get_constant(types.intp, number) for number in (len(kinds), 8))
+        array = tools.create_struct_proxy(kind)(context, builder)
+        array.data = tools.alloca_once(builder, context.get_value_type(types.float64), count)
+        array.nitems, array.itemsize = count, width
+        array.shape, array.strides = (tools.pack_array(builder, [one]) for one in (count, width))
+        for k, one in enumerate(kinds):
+            number = builder.extract_value(arguments[0], k) if several else arguments[0]
+            number = context.cast(builder, number, one, types.float64)
+            builder.store(number, tools.gep_inbounds(builder, array.data, k))
+        return array._getvalue()
+
+    return kind(values), generate
 
 
 def loaded_from(kind: Any) -> Any:

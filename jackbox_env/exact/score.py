@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.compiler import called_at, packed, unpacked_as
+from jackbox_env.exact.compiler import called_at, numbers_in, packed, unpacked_as
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import (
     APPLIED,
@@ -79,9 +79,9 @@ def observation_values(scene: SceneNumbers, state: State, time: float) -> tuple[
 
 def observe_values(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
     """Write the numbers of a user's observation, clipped to its bounds."""
-    values, usable = observation_values(scene, state_in(state), time), True
+    values, usable = numbers_in(observation_values(scene, state_in(state), time)), True
     for k in range(len(values)):
-        value = 1.0 * values[k]  # of a bool too
+        value = values[k]
         usable = usable and value == value
         observation[k] = HIGH[k] if value > HIGH[k] else LOW[k] if value < LOW[k] else value
     return usable
@@ -238,16 +238,6 @@ def task_terms(scene: SceneNumbers, state: State, torque: float, impulse: float)
     raise NotImplementedError
 
 
-def one_term(scene: SceneNumbers, state: State, torque: float, impulse: float) -> tuple[float]:
-    """Replaces :func:`task_terms` for a task whose function returns a number, not a tuple."""
-    return (task_number(scene, state, torque, impulse),)
-
-
-def task_number(scene: SceneNumbers, state: State, torque: float, impulse: float) -> float:
-    """Placeholder for the task's function if it returns a number."""
-    raise NotImplementedError
-
-
 def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) -> bool:
     """Placeholder for the task's function that ends episodes, which replaces it when a task is compiled."""
     return False
@@ -256,7 +246,7 @@ def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) 
 def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> bool:
     """Fill in the values of the reward's terms after a step to a state. Return whether the episode is over."""
     scene, named = make_numbers(values), state_in(state)
-    earned = task_terms(scene, named, torque, impulse)
+    earned = numbers_in(task_terms(scene, named, torque, impulse))
     for term in range(len(earned)):
         terms[term] = earned[term]
     return task_over(scene, named, torque, impulse)
@@ -354,7 +344,7 @@ def score_block(
     if not (several or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
-            rewards[k] = total(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k]))
+            rewards[k] = total(numbers_in(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k])))
         for k in range(count):
             if task_over(scene, state_in(after[:, k]), torque[k], impulses[k]):
                 terminations[k] = True
@@ -364,7 +354,7 @@ def score_block(
             rewards[k] = 0.0
             if over[k] == 0.0:
                 row_scene = make_numbers(values[first + k if several else 0])
-                rewards[k] = total(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+                rewards[k] = total(numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])))
                 if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[k] = True
                     ends += 1
@@ -374,7 +364,7 @@ def score_block(
         if over[k] == 0.0:
             report = reports[first + k]
             row_scene = make_numbers(values[first + k if several else 0])
-            earned = task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])
+            earned = numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
             if made == 0:  # -0.0 stays -0.0
                 report[:] = -0.0
             report[REPORTED_TORQUE] += torque[k]

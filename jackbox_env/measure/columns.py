@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from itertools import chain
 from typing import Any
@@ -16,6 +17,7 @@ from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
 from jackbox_env.measure.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, THETA_JACK, Array
+from jackbox_env.tools import checks as check
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
@@ -32,6 +34,7 @@ _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
 _GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
+_TORQUE = re.compile(r"torque|tau|moment|n ?m\b", re.IGNORECASE)  # in headers of torques
 _LARGEST_STEP = 5.0 * _TURN  # from row to row
 
 
@@ -65,6 +68,12 @@ def evened(
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     torques = columns.get("torque")
+    turning = [header for header in left_out if torques is None and _TORQUE.search(header)]
+    if turning and scene.drive is not None:
+        raise ValueError(
+            f"{table.header()} {check.shown(turning[0])} is left out, and the scene's drive would turn the box: name "
+            "it as that of torque, or leave the drive out (--torque none)"
+        )
     if torques is not None and torque != "held":
         torques = without_gaps(filled(table, "torque", torques), rows)
     elif torques is not None:

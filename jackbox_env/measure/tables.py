@@ -157,6 +157,9 @@ def in_si_units(
             what = f"there must be a column {name} [{units[name]}], got {listed or 'none'}"
             if name in (names or {}):
                 text = parts((names or {})[name], units)[0]
+                for header, _ in table.columns:
+                    if parts(header, {text})[0] == text:  # but for its unit, which is none
+                        _factor(table, header, None, None, units[name])
                 what = f"column {text!r}, which is to be {name}, must be one of {listed}"
             raise ValueError(f"{table.header().removesuffix('column')}{what}")
     if len({len(column) for column in columns.values()}) > 1:

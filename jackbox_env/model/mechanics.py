@@ -252,8 +252,11 @@ def energy(scene: Scene, state: ArrayLike) -> float:
 
 def energy_of(scene: Scene | SceneNumbers, state: Numbers) -> float:
     """:func:`energy` of 12 numbers, without checks."""
-    vx_box, vy_box, omega_box = state[VX_BOX], state[VY_BOX], state[OMEGA_BOX]
-    vx_jack, vy_jack, omega_jack = state[VX_JACK], state[VY_JACK], state[OMEGA_JACK]
-    box = scene.box_mass * (vx_box * vx_box + vy_box * vy_box) + scene.box_inertia * omega_box * omega_box
-    jack = scene.jack_mass * (vx_jack * vx_jack + vy_jack * vy_jack) + scene.jack_inertia * omega_jack * omega_jack
+    box = twice_kinetic(scene.box_mass, scene.box_inertia, state[VX_BOX], state[VY_BOX], state[OMEGA_BOX])
+    jack = twice_kinetic(scene.jack_mass, scene.jack_inertia, state[VX_JACK], state[VY_JACK], state[OMEGA_JACK])
     return 0.5 * (box + jack) + scene.jack_mass * scene.gravity * state[Y_JACK]
+
+
+def twice_kinetic(mass: float, inertia: float, vx: float, vy: float, omega: float) -> float:
+    """Twice a body's kinetic energy [J]."""
+    return mass * (vx * vx + vy * vy) + inertia * omega * omega

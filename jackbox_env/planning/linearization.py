@@ -186,7 +186,7 @@ def linearize(
     """Play torques like :func:`rollout`, and differentiate each step by its state, its torque and the scene.
 
     The derivatives include the impacts, by saltation matrices (``exact/tangents.py``), exact up to rounding. Each
-    impact multiplies them by about 10, like every error (docs/derivatives.md).
+    impact multiplies them by about 10, like every error (docs/physics.md).
 
     >>> lin = linearize({"gravity": 10.0}, [0.0] * 12, [0.0], dt=0.02, fields=["gravity"])
     >>> lin.A[0, 0, 4, 10].item(), lin.P[0, 0, 10, 0].item()  # y by its rate, the rate by gravity

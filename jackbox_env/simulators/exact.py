@@ -9,9 +9,9 @@ Law: flight in closed form (``exact/flight.py``); at an impact all feet that tou
     impulse of the whole step. So ``impacts``, the environment's counts and impulses, and the task rattle include the
     weight on a wall, m_j g dt in a step.
 Order: none; the error is rounding for every control step. The system is chaotic and multiplies any error by about 10
-    per impact (docs/derivatives.md), so even this model predicts only 11 to 16 impacts.
+    per impact (docs/physics.md), so even this model predicts only 12 to 16 impacts.
 Cost: below 0.1 microseconds per control step in a batch, in proportion to the number of impacts. A step with resting
-    feet takes about 6 microseconds (docs/costs.md).
+    feet takes a few microseconds.
 Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostError: rotation or impacts far too fast for
     the step. A chirp of more than 83,333 turns in a step raises ValueError. Without loss a foot that bounces by 1e-10 m
     or less does so about a thousand times per control step; a foot that reaches another wall meanwhile may be as deep

@@ -116,8 +116,9 @@ def _described() -> dict[str, Any]:
         "fields": {name: {**_field(scene, name), **slider} for name, slider in SLIDERS.items()},
         "inertias": {name: _field(scene, name) for name in ("box_inertia", "jack_inertia")},
         "lesson": _lesson(), "tasks": {name: _task(name) for name in TASKS},
-        "columns": ["time", *STATE_NAMES, "torque", "energy", "work"], "halfWidth": scene.box_half_width,
-        "timeScale": scene.box_half_width / scene.speed_scale, "speedScale": scene.speed_scale,
+        "columns": ["time", *STATE_NAMES, "torque", "energy", "work", *entries.MEASURED],
+        "halfWidth": scene.box_half_width, "timeScale": scene.box_half_width / scene.speed_scale,
+        "speedScale": scene.speed_scale,
     }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, Workspace, make_numbers
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over
-from jackbox_env.model.mechanics import energy_of
+from jackbox_env.model.mechanics import energy_of, twice_kinetic
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.scene import SceneNumbers, square_inertia
 from jackbox_env.model.states import clearance
@@ -33,17 +33,18 @@ SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 # Parts of the buffer, and their lengths.
 PARTS = {
     "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
-    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
+    "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "JACK_ENERGY": 1, "MOMENTUM": 3,
+    "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
     "GAP": 1, "RESTING": 1,
 }  # fmt: skip
 
-
+MEASURED = "jack_energy", "momentum_x", "momentum_y", "angular_momentum"  # from JACK_ENERGY on, columns of the page
 OFFSETS = dict(zip(PARTS, accumulate(PARTS.values(), initial=0), strict=False))
 IMPACTS_AT = -(-sum(PARTS.values()) // AT_IMPACT) * AT_IMPACT  # rows of the log follow
 LENGTH = IMPACTS_AT + AT_IMPACT * MOST_IMPACTS
 (
-    SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY, SHARE, ACTION,
-    STEPS, SEPARATED, GAP, RESTING,
+    SCENE_AT, DT, KIND, TIME, TORQUE, BEFORE, AFTER, STATUS, HITS, MEAN_TORQUE, IMPULSE, REWARDS, ENERGY,
+    JACK_ENERGY, MOMENTUM, SHARE, ACTION, STEPS, SEPARATED, GAP, RESTING,
 ) = OFFSETS.values()  # fmt: skip
 array: Any = get_cfarray_intrinsic("C", None)  # type: ignore[no-untyped-call]  # numba's carray, which would want its runtime
 
@@ -82,12 +83,20 @@ AT_ONCE: dict[str, Any] = {
 
 
 def score(buffer: Any) -> None:
-    """Fill in the REWARDS of the step to AFTER, and its ENERGY [J]."""
+    """Fill in the REWARDS of the step to AFTER, and its energies [J] and momenta [kg m/s, kg m^2/s]."""
     d = array(buffer, (LENGTH,))
     values, after, rewards = d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[REWARDS : REWARDS + TERMS]
     rewards[0] = rewards[1] = 0.0
     score_one(values, after, d[MEAN_TORQUE], d[IMPULSE], rewards)
-    d[ENERGY] = energy_of(make_numbers(values), after)
+    scene, state = make_numbers(values), state_in(after)
+    d[ENERGY] = energy_of(scene, after)
+    kinetic = twice_kinetic(scene.jack_mass, scene.jack_inertia, state.vx_jack, state.vy_jack, state.omega_jack)
+    d[JACK_ENERGY] = 0.5 * kinetic + scene.jack_mass * scene.gravity * state.y_jack
+    box_x, box_y = scene.box_mass * state.vx_box, scene.box_mass * state.vy_box
+    jack_x, jack_y = scene.jack_mass * state.vx_jack, scene.jack_mass * state.vy_jack
+    spins = scene.box_inertia * state.omega_box + scene.jack_inertia * state.omega_jack
+    d[MOMENTUM], d[MOMENTUM + 1] = box_x + jack_x, box_y + jack_y
+    d[MOMENTUM + 2] = spins + state.x_box * box_y - state.y_box * box_x + state.x_jack * jack_y - state.y_jack * jack_x
 
 
 def observe(buffer: Any, observation: Any) -> None:

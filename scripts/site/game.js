@@ -5,7 +5,11 @@ const FLASHES = 8; // impacts of a step that are drawn, at most
 const BASIS = 0xcbf29ce484222325n; // of the digest, FNV-1a
 const PRIME = 0x100000001b3n;
 
-const physics = await loadPhysics(unpacked(data.module, Uint8Array), data);
+const physics = await loadPhysics(unpacked(data.module, Uint8Array), data).catch(() => null);
+if (!physics) {
+  byId("hint").firstChild.textContent = "This browser, or the headers of this site, forbid WebAssembly, which this page needs: save the page and open the file.";
+  return;
+}
 const buffers = [physics.makeBuffer(), physics.makeBuffer(), physics.makeBuffer()];
 const [main, preview, rival] = buffers; // for whole steps, for parts of a step, and for the ghost's steps
 const [agents, ghosts] = [main, rival].map((buffer) => Object.fromEntries(
@@ -46,12 +50,19 @@ function begin(task, fields, dt, start, recorded = null, ghost = null) {
   Object.assign(game, {
     task, fields, dt, start, recorded, state, time: 0, open: null, lost: false, acted: false, assisted: false,
     differs: 0, shares: [], checks: [], digest: BASIS, sum: 0, scored: 0, hits: 0, resting: false,
-    energy: preview.number("ENERGY"), ghost: ghost && { shares: ghost.shares, state, scored: 0 },
+    energy: preview.number("ENERGY"), jackEnergy: preview.number("JACK_ENERGY"), ghost: ghost && { shares: ghost.shares, state, scored: 0 },
   });
   for (const one of [agents, ghosts]) one[task].restart();
   const row = new Float64Array(WIDTH);
   row.set(state, 1);
-  [rows, impacts, COUNT, START, END] = [[row], [], 1, 0, KEPT];
+  measure(row);
+  [rows, impacts, COUNT, START, END, LASTS] = [[row], [], 1, 0, SHORTEST, SHORTEST];
+}
+
+// Energies and momenta of the state in `preview`.
+function measure(row) {
+  for (let k = 0; k < 4; k++) row[COLUMN.jack_energy + k] = preview.number("JACK_ENERGY", k);
+  row[COLUMN.jack_energy] -= game.jackEnergy;
 }
 
 // Begin a step under a share of the torque limit, or under the chirp (null).
@@ -76,6 +87,7 @@ function openStep(share) {
       row[0] = game.time + since;
       row[COLUMN.torque] = (preview.number("MEAN_TORQUE") * since - impulse) / (since - last);
       const gained = preview.number("ENERGY") - game.energy;
+      measure(row);
       row[COLUMN.energy] = Math.abs(gained) < 1e-12 * data.knock * data.speedScale ? 0 : gained; // else it is rounding
       row[COLUMN.work] += row[COLUMN.torque] * (row[COLUMN.theta_box] - at(COUNT - 1, COLUMN.theta_box));
       [last, impulse, COUNT] = [since, preview.number("MEAN_TORQUE") * since, rows.push(row)];
@@ -116,7 +128,8 @@ function closeStep() {
   game.hits += count;
   game.resting = resting && count === 0;
   START = Math.max(0, game.time - KEPT);
-  END = START + KEPT;
+  END = Math.max(game.time, SHORTEST);
+  LASTS = END - START;
   rows = rows.filter((row) => row[0] >= START);
   impacts = impacts.filter((hit) => hit.time >= START);
   COUNT = rows.length;

@@ -102,14 +102,24 @@ function showReturns() {
 
 const panels = [
   {
-    title: "energy", unit: "kJ",
-    series: [series("gained", "energy", COLUMN.energy, false, 1e-3), series("work", "ink", COLUMN.work, true, 1e-3)],
+    title: "energy gained", unit: "J",
+    series: [
+      series("all", "energy", COLUMN.energy), series("jack", "jack", COLUMN.jack_energy),
+      series("box", "box", COLUMN.energy, true), series("work", "ink", COLUMN.work, true),
+    ],
   },
   { title: "box angle", unit: "rad", series: [series("\u03b8", "box", COLUMN.theta_box)] },
   { title: "height", unit: "m", series: [series("jack", "jack", COLUMN.y_jack), series("box", "box", COLUMN.y_box, true)] },
   { title: "upward velocity", unit: "m/s", series: [series("jack", "jack", COLUMN.vy_jack), series("box", "box", COLUMN.vy_box, true)] },
   { title: "jack's spin", unit: "rad/s", series: [series("\u03c9", "jack", COLUMN.omega_jack)] },
+  {
+    title: "momentum", unit: "kg m/s",
+    series: [series("x", "ink", COLUMN.momentum_x), series("y", "ink", COLUMN.momentum_y, true)],
+  },
+  { title: "angular momentum", unit: "kg m\u00b2/s", series: [series("L", "ink", COLUMN.angular_momentum)] },
 ];
+const boxGain = (row) => row[COLUMN.energy] - row[COLUMN.jack_energy];
+Object.assign(panels[0].series[2], { values: (row) => boxGain(rows[row]), now: boxGain });
 panels[0].series[0].wide = 5;
 const times = make("canvas");
 for (const panel of panels) byId("plots").append(legendOf(panel), (panel.canvas = make("canvas")));

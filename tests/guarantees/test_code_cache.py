@@ -132,7 +132,10 @@ def test_a_folder_that_can_only_be_read_is_read(cache: Path, monkeypatch: pytest
     assert len(files(cache)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
 
 
-def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(cache: Path) -> None:
+def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(
+    cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code_cache._announce("all", "5 s", cache.parent)
     for unusable in (cache, compiler.PACKAGE, cache.parent / "home"):
         assert turned() == 0
         assert len(list(unusable.rglob("*.kept"))) == 1
@@ -140,6 +143,10 @@ def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none
         unusable.write_text("a file, not a folder")
     with pytest.warns(UserWarning, match=f"cannot be kept in {cache.parent}/home/.* compiles it anew"):
         assert turned() == 0
+    code_cache._announce("all", "5 s", cache.parent / "home" / "kept")
+    once, each = capsys.readouterr().err.splitlines()
+    assert once == "jackbox compiles its exact contact model for all, once on this machine (5 s)"
+    assert each.endswith("for all, in each process, as it can be kept nowhere (5 s)")
 
 
 def test_code_of_old_sources_is_tidied_away(cache: Path) -> None:

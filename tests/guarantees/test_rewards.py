@@ -137,6 +137,17 @@ def test_a_plain_number_is_one_term_with_the_same_bits(number: Any) -> None:
     assert paid_now(Task(("one",), lambda scene, state, torque, impulse: number)) == number
 
 
+def test_numbers_of_any_kind_are_terms_and_observations_with_the_same_bits() -> None:
+    named: dict[str, Any] = {}
+    exec("def values(scene, state, torque, impulse): return float(torque < 1.0), 2, state[5] < 9.0, state[5]", named)
+    task = Task(("a", "b", "c", "d"), named["values"])
+    plain = Task(("a",), lambda scene, state, torque, impulse: 4.0 + state[5])
+    assert paid_everywhere(task) == paid_now(plain)
+    seen = Observation(("a", "b", "c"), -9.0, 9.0, lambda scene, state, time: (1, time < 9.0, state.y_jack))
+    envs = [JackInBoxEnv(contact=contact, observation=seen) for contact in CONTACT_MODELS]
+    np.testing.assert_array_equal(envs[0].reset(seed=0)[0], envs[1].reset(seed=0)[0])
+
+
 def test_terms_are_summed_in_their_order() -> None:
     task = Task(("a", "b", "c"), lambda scene, state, torque, impulse: (1e16, 1.0 + 0.0 * state[0], -1e16))
     assert paid_everywhere(task) == (1e16 + 1.0) - 1e16 != math.fsum((1e16, 1.0, -1e16))

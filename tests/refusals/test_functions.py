@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from operator import attrgetter
 from typing import Any
@@ -54,10 +55,28 @@ FELL = Task(
     lambda scene, state, torque, impulse: (math.nan if state.vy_jack < -5.0 and state.x_jack > 0.0 else 1.0,),
     lambda scene, state, torque, impulse: state.vy_jack < -4.9,
 )
-FLOATS = "the task's function <lambda> must return a tuple of 2 floats, one for each term, got what numba calls ..."
+FLOATS = "the task's function <lambda> must return a tuple of 2 numbers, one for each term, got what numba calls ..."
 VALUES = "a task's values must return a tuple of 2 numbers, one for each term, got {}"
 NEEDS = "the task's function <lambda> cannot be compiled, as contact='exact' needs: ..."
 TABLE = np.arange(3.0)
+
+
+RUNS, DEEP = "; environments with fidelity='balanced' run it", "its functions call one another too deeply"
+
+
+def halved(number: float) -> float:
+    return number if number < 1.0 else halved(0.5 * number)
+
+
+def one(*, number: float = 1.0) -> float:
+    return number
+
+
+def chain() -> Any:
+    def after(last: Any) -> Any:
+        return lambda scene, state, torque, impulse: last(scene, state, torque, impulse)
+
+    return functools.reduce(lambda last, _: after(last), range(100), lambda *numbers: (1.0, 1.0))
 
 
 def writing(scene: Any, state: Any, torque: float, impulse: float, table: Any = TABLE) -> tuple[float, float]:
@@ -74,7 +93,9 @@ UNFIT: tuple[tuple[str, Any, str], ...] = (
     ("exact", writing, NEEDS.replace("<lambda>", "writing") + "setitem(readonly array..."),
     ("exact", lambda scene, state, torque, impulse: (1.0,), FLOATS),
     ("exact", lambda scene, state, torque, impulse: 1.0, FLOATS),
-    ("exact", lambda scene, state, torque, impulse: (1, 2.0), FLOATS),
+    ("exact", lambda scene, state, torque, impulse: (halved(9.0), 1.0), NEEDS + "halved calls itself" + RUNS),
+    ("exact", lambda scene, state, torque, impulse: (one(), 1.0), NEEDS + "one has arguments by keyword only" + RUNS),
+    ("exact", chain(), NEEDS.replace("<lambda>", "...") + DEEP + RUNS),
     ("exact", lambda scene, state, torque, impulse: (1j, 2j), FLOATS),
     ("exact", lambda scene, state, torque, impulse: (scene.nothing, 1.0), NEEDS + "'nothing'..."),
     ("exact", lambda scene, state, torque, impulse: (nowhere, 1.0), NEEDS + "'nowhere'..."),  # type: ignore[name-defined]  # noqa: F821
@@ -340,12 +361,12 @@ NOUNS = [
         for noun, sentence in (
             (
                 {"contact": "exact", "observation": PAIR},
-                "the observation's function <lambda> must return a tuple of 1 floats, one for each name, got what "
+                "the observation's function <lambda> must return a tuple of 1 numbers, one for each name, got what "
                 "numba calls ...",
             ),
             (
                 {"contact": "exact", "observation": WORD},
-                "the observation's function <lambda> must return a tuple of 1 floats, one for each name, got what "
+                "the observation's function <lambda> must return a tuple of 1 numbers, one for each name, got what "
                 "numba calls ...",
             ),
             (

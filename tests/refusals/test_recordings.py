@@ -249,6 +249,17 @@ COLUMNS = [
         "column 'ball', which is to be x_jack, must be one of 'time', 'x_jack'",
     ),
     Refusal(
+        framed(columns={"time": [0.0, 0.1], "jack_x (px)": [0.0, 1.0]}, names={"x_jack": "jack_x"}),
+        ValueError,
+        "column 'jack_x (px)' must be in one of the units m, cm, mm, um, µm, got 'px'",
+    ),
+    Refusal(
+        framed(columns={"time": [0.0, 0.1], "ball": [0.0, 1.0], "tau": [1.0, 1.0]}, names={"x_jack": "ball"}),
+        ValueError,
+        "column 'tau' is left out, and the scene's drive would turn the box: name it as that of torque, or leave the "
+        "drive out (--torque none)",
+    ),
+    Refusal(
         framed(names={"weight": "ball"}),
         ValueError,
         "names accepts only 'time', 'x_box', 'y_box', 'theta_box', 'x_jack', 'y_jack', 'theta_jack', "

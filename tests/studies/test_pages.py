@@ -5,26 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pymunk
 import pytest
 
 from jackbox_env import Scene, make_simulator
 from scripts.studies.accuracy import accuracy
-from scripts.studies.costs import costs
-from scripts.studies.costs import measured as cost_steps
-from scripts.studies.derivatives import derivatives
 from scripts.studies.fitting import fitting
 from scripts.studies.recipes import recipes
 from scripts.studies.results import results
-from scripts.studies.speed import measured, speed
+from scripts.studies.speed import costs, measured, speed
 from scripts.studies.study import as_text
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, costs, derivatives, fitting, recipes, results, speed)}
+STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, fitting, recipes, results, speed)}
 
 
 def stored(name: str) -> Any:
@@ -60,20 +56,14 @@ def test_other_numbers_would_make_another_page() -> None:
     assert STUDIES["results"].page(data) != (DOCS / "results.md").read_text()
 
 
-@pytest.mark.parametrize("part", derivatives.PICTURED)
-def test_a_picture_of_derivatives_is_drawn_from_the_stored_numbers(part: str, tmp_path: Path) -> None:
-    derivatives.PICTURED[part].draw(stored("derivatives")[part], tmp_path / "picture.png")
-    assert matplotlib.image.imread(tmp_path / "picture.png")[..., 3].any()
-
-
 # -- figures -----------------------------------------------------------------------------------------------------------
 
 
-def test_differences_are_computed_within_passes_and_noise_is_reported() -> None:
-    # The machine is twice as slow in the second pass, and the difference stays a tenth; one pass is disturbed.
-    ns = {"plain": [100.0, 200.0, 100.0] * 2, "with": [110.0, 220.0, 900.0, 110.0, 220.0, 50.0]}
-    rates = {name: [1e9 / value for value in values] for name, values in ns.items()}
-    assert costs.in_rounds(rates, 3, {"with": 1.0, "plain": -1.0}) == pytest.approx([20.0, 10.0])
+def test_costs_are_computed_within_a_round_and_noise_is_reported() -> None:
+    # The machine is twice as slow in the second round, and the difference stays a tenth.
+    ns = {"exact: rattle": [110.0, 220.0]} | {f"{model}: plain": [100.0, 200.0] for model in costs.MODELS}
+    on_top = costs.figures({name: [1e9 / value for value in values] for name, values in ns.items()})["on_top"]
+    assert on_top["task rattle, in place of juggle"] == {"exact": pytest.approx([10.0, 20.0])}
     assert costs.cell([20.0, 10.0], 100.0) == "+15 (+15%)"
     assert costs.cell([-1.0, 2.0], 100.0) == "below noise"
 
@@ -103,19 +93,3 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert counts["certified"] == 0
     assert counts["missed"] > 10
     assert counts["escaped"] > 10
-
-
-@pytest.mark.parametrize("kind", cost_steps.LOSS)
-def test_each_step_with_loss_has_the_impacts_of_its_row(kind: str) -> None:
-    steps = cost_steps.with_loss(kind, courses=24)
-    few, most = {cost_steps.FLIGHT: (0, 0), cost_steps.BOUNCE: (1, 1), cost_steps.PILE: (10, 20)}.get(kind, (1, 4))
-    assert few <= steps.hits.min()
-    assert steps.hits.max() <= most
-    scene, rests = cost_steps.LOSS[kind], kind.startswith("rest")
-    simulator = make_simulator(scene, "exact")
-    for state, hits in zip(steps.states[:20, 0], steps.hits[:20, 0], strict=True):
-        simulator.reset(state)
-        simulator.step(cost_steps.DT, 0.0)
-        assert len(simulator.impacts) == hits
-        held = {hit.foot for hit in simulator.impacts if hit.time == simulator.time}
-        assert len(held) == (2 if rests else 0) or kind in (cost_steps.PILE, cost_steps.CORNER)

@@ -1,4 +1,8 @@
-"""Distributes ranges of environments or rollouts over a pool of threads."""
+"""Distributes ranges of environments or rollouts over a pool of threads.
+
+The threads are our own because an interrupt can cut the Python code of ``concurrent.futures`` and leave a lock locked,
+so that the next step hangs (``tests/guarantees/test_interruptions.py``).
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from scripts.studies.results.results import STUDY as RESULTS
 
 DOCS = Path(__file__).parents[3] / "docs"
 PLAIN = {name: ("sb3", name) for name in ("PPO", "RecurrentPPO", "SAC", "TQC", "DQN")} | {"CleanRL's PPO": ("cleanrl",)}
-OTHERS = ("servo", "places", "pixels")
+OTHERS = ("servo", "pixels")
 
 
 @dataclass(frozen=True)

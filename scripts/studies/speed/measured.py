@@ -257,18 +257,18 @@ def threads(cores: int, seconds: float) -> dict[str, Timed]:
 # -- the exact model alone ---------------------------------------------------------------------------------------------
 
 
-def play(count: int = 1024) -> tuple[Array, NDArray[np.int64]]:
-    """Trajectories of whole episodes, shape (count, EPISODE + 1, 12), and the impacts in each step."""
-    scene, rng = Scene(), np.random.default_rng(0)
+def play(count: int = 1024, of: Scene | None = None) -> tuple[Array, NDArray[np.int64], Array]:
+    """Trajectories of whole episodes, shape (count, EPISODE + 1, 12), impacts in each step, and random torques."""
+    scene, rng = of or Scene(), np.random.default_rng(0)
     starts = np.array([sample_start(scene, rng) for _ in range(count)])
     torques = rng.uniform(-scene.torque_limit, scene.torque_limit, (count, EPISODE))
     played: Any = rollouts.rollout(scene, starts, torques, DT, impacts=True, num_threads=1)
-    return played.trajectories, played.impacts
+    return played.trajectories, played.impacts, torques
 
 
 def moments(count: int) -> Array:
     """States at random moments of episodes, shape (count, 12), at least ``SHORT`` steps before the end."""
-    rng, (trajectories, _) = np.random.default_rng(0), play()
+    rng, (trajectories, *_) = np.random.default_rng(0), play()
     states: Array = trajectories[rng.integers(1024, size=count), rng.integers(EPISODE - SHORT + 1, size=count)]
     return states
 
@@ -341,7 +341,7 @@ def unguarded(run: Callable[[], T]) -> Callable[[], T]:
 
 def lost() -> dict[str, int]:
     """How many of the same episodes each search gets wrong. They are compared until chaos separates them."""
-    (certified, hits), (other, other_hits) = play(), unguarded(play)()
+    (certified, hits, _), (other, other_hits, _) = play(), unguarded(play)()
     difference = np.abs(certified - other).max(axis=2)[:, :-1]  # before each step
     same = np.logical_and.accumulate(difference <= _WRONG, axis=1)
     first_outside, numbers, wrong = compiled(outside), np.array([Scene().numbers]), np.array([_WRONG])

@@ -10,6 +10,7 @@ from typing import Any
 
 from scripts.studies import study, timing
 from scripts.studies.pages import figure, rounded, table
+from scripts.studies.speed import costs
 from scripts.studies.speed import measured as these
 from scripts.studies.timing import Rates
 
@@ -47,6 +48,7 @@ RATIOS = {
         for name in (*map(these.of_size, these.THREADED), these.LONG)
     },
 }
+PARTS = (*RATIOS, "costs", "start")
 ONE = {"pymunk": these.PYMUNK, "exact": these.EXACT, "lander": these.LANDER, "pole": these.POLE}
 
 
@@ -56,17 +58,18 @@ def ratios_of(part: str, rates: Rates) -> Rates:
 
 
 def measured(part: str, rounds: int, seconds: float) -> dict[str, Any]:
-    """Rates and ratios of a part of the page in each round, on one core except for threads."""
+    """Rates and ratios, or costs, of a part of the page in each round, on one core except for threads."""
     cores = os.sched_getaffinity(0) if timing.PINNED else {0}
     timing.on_cores(cores if part == "threads" else {max(cores)})
     makes: dict[str, Callable[[float], dict[str, timing.Timed]]] = {
-        "alone": these.alone, "together": these.together, "threads": partial(these.threads, len(cores))
+        "alone": these.alone, "together": these.together, "threads": partial(these.threads, len(cores)),
+        "costs": costs.costs,
     }  # fmt: skip
     if part == "start":
         results = these.start(min(rounds, STARTS))
     else:
         rates = timing.measure(makes[part](seconds), rounds)
-        results = {"rates": rates, "ratios": ratios_of(part, rates)}
+        results = costs.figures(rates) if part == "costs" else {"rates": rates, "ratios": ratios_of(part, rates)}
     if part == "together":
         results["lost"] = these.lost()
     timing.on_cores(cores)
@@ -121,6 +124,7 @@ def filled(results: study.Record) -> dict[str, Any]:
         "over": over_cart_pole(together),
         "start": {name: rounded(statistics.median(results["start"][name])) for name in ("cold", "warm")},
         "tables": {part: _section(results[part]) for part in rates},
+        "costs": costs.filled(results["costs"]),
         "lost": together["lost"],
         "memory": results["start"],
     }
@@ -139,10 +143,10 @@ def over_cart_pole(together: Mapping[str, Any]) -> str:
 
 STUDY = study.Study(
     "speed",
-    {part: partial(measured, part) for part in (*RATIOS, "start")},
+    {part: partial(measured, part) for part in PARTS},
     filled,
     study.TimedArguments,
-    alone=frozenset({*RATIOS, "start"}),
+    alone=frozenset(PARTS),
     packages=("jackbox", "gymnasium", "numpy", "pymunk", "numba", "stable-baselines3", "envpool"),
     joined=with_earlier,
 )

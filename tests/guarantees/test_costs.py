@@ -1,4 +1,4 @@
-"""Features that a scene does not use run no code. Calls are counted; the times are in docs/costs.md.
+"""Features that a scene does not use run no code. Calls are counted; the times are in docs/speed.md.
 
 Counts, unlike times, are the same on every machine. Each of ``PROOFS`` names a function that is called with a feature
 and is not called without it. The exact model's code is plain Python that is compiled, so it is counted uncompiled.

@@ -1,1 +1,0 @@
-"""The cost of each modelled thing per step: docs/costs.md."""

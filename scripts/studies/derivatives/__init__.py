@@ -1,1 +1,0 @@
-"""Uses of derivatives through impacts: docs/derivatives.md."""
