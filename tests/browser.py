@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,9 @@ FLAGS = (
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium; without it the test is skipped with a message."""
+    """Chromium; without it the test is skipped."""
     if CHROMIUM is None:
-        sentence = "Chromium is not installed, so nothing looks at the pages: apt-get install chromium"
-        print(f"\n*** {sentence} ***", file=sys.__stderr__)
-        pytest.skip(sentence)
+        pytest.skip("Chromium is missing: apt-get install chromium")
     playwright = pytest.importorskip("playwright.sync_api").sync_playwright().start()
     browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
     yield browser

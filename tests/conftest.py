@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -24,6 +26,7 @@ from tests.browser import browser  # noqa: F401  # a fixture
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
 OPTIONAL = {"flint", "imageio", "jsonschema", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
 OPTIONAL |= {"torch", "tqdm", "tyro"}
+INSTALL = "pip install -e '.[all,dev]'"
 COMPILING = "jackbox/compiling"  # key in pytest's cache of the processor time [s] of compiling
 
 
@@ -48,6 +51,16 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     return Module.from_parent(parent, path=module_path)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Put the values of a failure into its one line of the summary, which numpy has in later lines."""
+    report = yield
+    crash: Any = getattr(report.longrepr, "reprcrash", None)
+    if crash:
+        crash.message = " ".join(crash.message.split())[:500]
+    return report
+
+
 def processor_seconds() -> float:
     """Processor time [s] of this process and of those it started that have ended."""
     return sum(os.times()[:4])
@@ -55,7 +68,13 @@ def processor_seconds() -> float:
 
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Print the processor time of a run of several workers, and relative to compiling: machines differ."""
+    """Print what was skipped and why, then the processor time of a run of several workers: machines differ."""
+    os.environ.setdefault("CI", "1")  # the lines of failures that follow are not cut
+    reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())]
+    counted = Counter(f"{one}: {INSTALL}" if "No module named" in one else one for one in reasons)
+    if counted:
+        skipped = "; ".join(f"{number} where {reason}" for reason, number in counted.most_common())
+        terminalreporter.write_line(f"Skipped: {skipped}")
     seconds, cache = processor_seconds(), getattr(config, "cache", None)
     compiling = cache.get(COMPILING, 0.0) if cache else 0.0
     if compiling and config.getoption("numprocesses", None):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import math
 import random
-import re
 from collections.abc import Iterator, Sequence
 from decimal import Context, Decimal
 from fractions import Fraction
@@ -24,12 +23,11 @@ from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.tools.files import write_text
 from scripts.referee import scene_of
-from scripts.studies.pages import fill, table
 from tests.proof import Proof, UndecidedError, prove
 from tests.states import load
 
 FOLDER = Path(__file__).parents[1] / "docs" / "reference"
-PAGE = FOLDER.with_suffix(".md")
+PAGE = FOLDER.with_suffix(".md")  # its table has the durations and the numbers of impacts too
 DT = 0.02  # [s]
 DIGITS = 30  # of an impact's time
 FIELDS = (
@@ -209,33 +207,10 @@ def text_of(written: list[Case]) -> str:
     return f'{{"version": 1, "state": {json.dumps(STATE_NAMES)}, "cases": [\n{lines}\n]}}\n'
 
 
-def span(words: list[str]) -> str:
-    """The one word that all are; else their smallest and largest number, with the mark behind it."""
-    if len(set(words)) == 1:
-        return words[0]
-    ordered = sorted(words, key=lambda word: float(word.rstrip(".,;")))
-    return f"{ordered[0].rstrip('.,;')} to {ordered[-1]}"
-
-
-def table_of(written: list[Case]) -> str:
-    """The table of the page: a row for each series of cases, whose names differ in their last number only."""
-    series = dict[str, list[Case]]()
-    for one in written:
-        series.setdefault(re.sub(r"[\d.]+$", "", one["name"]), []).append(one)
-    rows = []
-    for alike in series.values():
-        names = dict.fromkeys(f"`{one['name']}`" for one in (alike[0], alike[-1]))
-        about = " ".join(span(list(words)) for words in zip(*(one["about"].split() for one in alike), strict=True))
-        numbers = ([f"{one['duration']:g}" for one in alike], [str(len(one["impacts"])) for one in alike])
-        rows.append((" to ".join(names), about, *map(span, numbers)))
-    return table(("case", "what it is", "duration [s]", "impacts"), rows)
-
-
 def main() -> None:
-    """Write the file, and the table of the page."""
+    """Write the file."""
     written = [completed(case) for case in cases()]
     write_text(FOLDER / "cases.json", text_of(written))
-    write_text(PAGE, fill(PAGE.read_text(), "cases", table_of(written)))
     impacts = sum(len(case["impacts"]) for case in written)
     print(f"Wrote {FOLDER / 'cases.json'}: {len(written)} cases, {impacts} impacts")
 

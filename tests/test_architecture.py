@@ -1,4 +1,4 @@
-"""The architecture: imports between packages go one way, privates stay in their package, and names are plain.
+"""The architecture: imports between packages go one way, and privates stay in their package.
 
 Imports inside functions count too, and no modules form a circle.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -61,6 +62,12 @@ def _level(name: str) -> int:
     return LEVELS[name]
 
 
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
 def _sources() -> dict[str, Path]:
     """Each module's file."""
     paths = [path for folder in ("jackbox_env", "agents", "scripts") for path in (ROOT / folder).rglob("*.py")]
@@ -81,9 +88,7 @@ def _graph(sources: dict[str, Path]) -> dict[str, set[str]]:
     """The modules that each module imports."""
     known = set(sources)
     return {
-        name: set(_imports(ast.parse(path.read_text()), known)) - LAZY - {name}
-        for name, path in sources.items()
-        if name not in LAZY
+        name: set(_imports(_tree(path), known)) - LAZY - {name} for name, path in sources.items() if name not in LAZY
     }
 
 
@@ -156,7 +161,7 @@ def _read_names(tree: ast.AST) -> Iterator[str]:
 
 def _privates_read(sources: dict[str, Path]) -> list[str]:
     """Underscored names of other packages that modules read, unless their package defines such a name too."""
-    trees, names = {name: ast.parse(path.read_text()) for name, path in sources.items()}, dict[str, set[str]]()
+    trees, names = {name: _tree(path) for name, path in sources.items()}, dict[str, set[str]]()
     for name, tree in trees.items():
         names.setdefault(_package(name), set()).update(_names_in(tree))
     return [
@@ -205,56 +210,3 @@ def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
     bad.write_text("from agents.policies import registry")
     policies = {name: path for name, path in _sources().items() if name.startswith("agents.policies")}
     assert "agents.policies.registry" in _circle(policies | {"agents.policies.network": bad})
-
-
-# -- words -------------------------------------------------------------------------------------------------------------
-
-# Parts of names that do not say what a thing is.
-RETIRED = {
-    "found", "given", "kept", "told", "untold", "taken", "look", "looks", "unseen", "vague", "guessed", "own", "place",
-}  # fmt: skip
-PUBLIC = {"jackbox_env/model/scene.py": {"given"}}  # names that stay, because users may write them
-
-
-def _defined(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Lines and names of functions, classes, arguments, assigned variables and assigned attributes of ``self``."""
-    for node in ast.walk(tree):
-        match node:
-            case (
-                ast.FunctionDef(name=name)
-                | ast.AsyncFunctionDef(name=name)
-                | ast.ClassDef(name=name)
-                | ast.arg(arg=name)
-                | ast.Name(id=name, ctx=ast.Store())
-                | ast.Attribute(value=ast.Name(id="self"), attr=name, ctx=ast.Store())
-            ):
-                yield node.lineno, name
-
-
-def _retired(folder: Path) -> list[str]:
-    """File, line, name and word of each name in a folder that has a retired word between its underscores."""
-    return [
-        f"{file}:{line}: {name} has the word {word}"
-        for path in sorted(folder.rglob("*.py"))
-        for file in [path.relative_to(folder.parent).as_posix()]
-        for line, name in sorted(_defined(ast.parse(path.read_text(encoding="utf-8"))))
-        for word in sorted(RETIRED.intersection(name.lower().split("_")))
-        if name not in PUBLIC.get(file, ())
-    ]
-
-
-@pytest.mark.parametrize("folder", ["jackbox_env", "agents", "scripts", "tests"])
-def test_names_have_no_retired_word(folder: str) -> None:
-    names = _retired(ROOT / folder)
-    assert not names, "\n".join(names)
-
-
-@pytest.mark.parametrize(
-    "line", ["def _is_own(): 0", "class Look: 0", "lambda *given: 0", "for place_x in (): 0", "self._told = 0"]
-)
-def test_a_retired_word_is_seen(tmp_path: Path, line: str) -> None:
-    (tmp_path / "bad.py").write_text(f"class A:\n    def a(self, b):\n        {line}")
-    (name,) = _retired(tmp_path)
-    assert name.startswith(f"{tmp_path.name}/bad.py:3: ")
-    (tmp_path / "bad.py").write_text("foundation = other.kept = given(own=0)")
-    assert _retired(tmp_path) == []

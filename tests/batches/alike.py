@@ -225,14 +225,6 @@ class Alike:
             with pytest.raises(JackLostError):
                 [row.step(alone[number]) for number, row in self.rows.items()]
 
-    def refuse(self, draw: random.Random) -> None:
-        """A step with an action that is none, which changes nothing."""
-        number, actions = draw.randint(0, self.count - 1), self.actions(draw)
-        actions[number] = 99 if actions.dtype.kind == "i" else math.nan
-        for env in self.several if not (self.driven or self.over[number]) else ():
-            with pytest.raises((ValueError, RuntimeError)):  # RuntimeError: another jack is lost
-                env.step(actions)
-
     # -- resets --------------------------------------------------------------------------------------------------------
 
     def reset(self, draw: random.Random) -> None:
@@ -351,7 +343,7 @@ class Alike:
 
 
 CALLS: Sequence[Callable[[Alike, random.Random], None]] = (
-    *[Alike.step] * 8, Alike.reset, Alike.reset, Alike.set_states, Alike.duplicate, Alike.restore, Alike.refuse,
+    *[Alike.step] * 8, Alike.reset, Alike.reset, Alike.set_states, Alike.duplicate, Alike.restore,
 )  # fmt: skip
 
 

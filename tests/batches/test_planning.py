@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jackbox_env import Rollout, Scene, rollout
-from jackbox_env.mechanics import energy
 from tests.batches.several import SCENES, assert_same
 from tests.states import inside
 
@@ -39,10 +38,3 @@ def test_first_and_last_states_are_those_of_the_trajectories(steps: int) -> None
     assert_same(ends, expected)
     only = rollout(Scene(), states, torques, 0.02, repeat=3, trajectories=False)
     assert_same(only, Rollout(expected.trajectories, None, None, None, None, None))
-
-
-def test_a_rollout_without_steps_has_the_energies_of_the_first_states() -> None:
-    state = np.arange(12) / 100.0
-    for steps in (0, 1):
-        rollouts: Any = rollout({}, [state] * 3, np.zeros((3, steps)), 0.02, energy=True)
-        np.testing.assert_array_equal(rollouts.energy[:, 0], [energy(Scene(), state)] * 3)

@@ -63,29 +63,3 @@ def test_a_row_without_a_derivative_counts_as_0() -> None:
         assert gradient is not None
         assert (gradient[0] != 0.0).any()
         assert (gradient[1] == 0.0).all()
-
-
-def test_uses_that_the_page_names_as_not_supported_raise() -> None:
-    states, shares = torch.rand((3, 12), dtype=torch.float64), torch.full((3,), 0.5, dtype=torch.float64)
-
-    def earned(states: torch.Tensor) -> torch.Tensor:
-        return jackbox_env.torch.step(None, states, shares)[1].sum()
-
-    with pytest.raises(RuntimeError):
-        torch.func.grad(earned)(states)
-    with pytest.raises(RuntimeError):
-        torch.vmap(lambda state, share: jackbox_env.torch.step(None, state[None], share[None])[1])(states, shares)
-    states.requires_grad = True
-    (slope,) = torch.autograd.grad(earned(states), states, create_graph=True)
-    assert (slope != 0.0).any()
-    with pytest.raises(RuntimeError):
-        torch.autograd.grad(slope.sum(), states)
-
-
-def test_shapes_and_kinds() -> None:
-    states, shares = torch.zeros((3, 12)), torch.full((3, 1), 2.0, requires_grad=True)
-    next_states, rewards, smooth = jackbox_env.torch.step(None, states, shares)  # float32 is accepted
-    assert [one.dtype for one in (next_states, rewards, smooth)] == [torch.float64, torch.float64, torch.bool]
-    next_states.sum().backward()
-    assert shares.grad is not None
-    assert (shares.grad == 0.0).all()  # clipped

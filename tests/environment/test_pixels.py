@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 
-from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Pixels, Scene
+from jackbox_env import JackInBoxEnv, Pixels, Scene
 from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.past import Past
 from jackbox_env.render import raster
@@ -112,20 +112,6 @@ def test_pictures_are_of_the_last_control_steps(contact: str, repeat: Any, stack
     assert (seen[..., 0] != seen[..., -1]).any()
     env.set_state(states[0])
     np.testing.assert_array_equal(env.observation, drawn(env.scene, states[:stack], (30, 24)))
-
-
-@EVERY_MODEL
-def test_set_states_begins_only_the_pictures_of_the_chosen(contact: str) -> None:
-    batch = JackInBoxVectorEnv(3, contact=contact, observation=Pixels((24, 24), 2))
-    batch.reset(seed=0)
-    for _ in range(5):
-        seen = batch.step(np.full((3, 1), 0.5))[0]
-    assert (seen[..., 0] != seen[..., 1]).any(axis=(1, 2)).all()
-    chosen = np.array([False, True, False])
-    batch.set_states(batch.states, 0.1, chosen)
-    np.testing.assert_array_equal(batch.observations[~chosen], seen[~chosen])
-    np.testing.assert_array_equal(batch.observations[1, ..., 0], seen[1, ..., 1])
-    np.testing.assert_array_equal(batch.observations[1, ..., 1], seen[1, ..., 1])
 
 
 # -- anything that may come --------------------------------------------------------------------------------------------

@@ -71,13 +71,8 @@ def test_specs_round_trip_through_json(settings: dict[str, Any]) -> None:
         assert reward == other_reward
 
 
-def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
-    drive = Drive(force_x=lambda time: 900.0 * math.sin(9 * time))
-    env: Any = make(scene=Scene(gravity=0.0, box_half_width=1.0, jack_arm=0.2, drive=drive), task="rattle")
-    env.reset(seed=0)
-    infos = [env.step(None)[4] for _ in range(500)]
-    assert np.ptp([info["state"][0] for info in infos]) > 0.1
-    assert all(info["torque"] == 0.0 for info in infos)
+def test_scenes_with_functions_have_no_json_form() -> None:
+    env: Any = make(scene=Scene(drive=Drive(force_x=math.sin)))
     with pytest.raises(TypeError, match="not JSON serializable"):
         env.spec.to_json()
 
@@ -87,13 +82,8 @@ def test_scenes_with_functions_run_end_to_end_and_have_no_json_form() -> None:
 
 @pytest.mark.parametrize("mode", [*AutoresetMode, *(mode.value for mode in AutoresetMode)])
 def test_gymnasiums_words_for_autoreset_are_accepted_and_a_spec_has_json(mode: AutoresetMode | str) -> None:
-    envs = gym.make_vec("JackInBox-v0", num_envs=2, autoreset_mode=mode, max_episode_steps=None)
-    assert envs.metadata["autoreset_mode"] in (mode, AutoresetMode[envs.metadata["autoreset_mode"].name])
-    assert envs.metadata["autoreset_mode"].value == getattr(mode, "value", mode)
-    assert envs.spec is not None
-    again = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()), num_envs=2)
-    assert again.metadata["autoreset_mode"] is envs.metadata["autoreset_mode"]
-    for made in (envs, again):
-        made.reset(seed=0)
-        ends = [made.step(np.zeros((2, 1)))[3].all() for _ in range(500)]
-        assert ends == [False] * 499 + [True]
+    envs: Any = gym.make_vec("JackInBox-v0", num_envs=2, autoreset_mode=mode, max_episode_steps=None)
+    again: Any = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()), num_envs=2)
+    for one in (envs, again):  # Gymnasium reads the metadata, TorchRL's wrapper the attribute
+        assert one.metadata["autoreset_mode"] is one.autoreset_mode is AutoresetMode(mode)
+        assert one.max_episode_steps == 500

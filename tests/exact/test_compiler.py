@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import itertools
 import math
-import os
-import time
 from types import FunctionType
 from typing import Any
 
@@ -15,59 +12,18 @@ import numba
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
-from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 
-from jackbox_env.envs.batches.threads import Threads, thread_count
 from jackbox_env.exact import compiler, run
 from jackbox_env.exact.compiler import compiled
-from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within, without_turns
+from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.workspace import Call, example, new_memory
-
-
-@pytest.mark.parametrize("kind", [np.int32, np.float32])
-def test_arguments_that_would_be_read_as_another_type_are_refused(kind: type) -> None:
-    arguments, call = example(), Call(new_memory(1))
-    call.prepare(*arguments[:-1])
-    scenes = arguments.scenes._replace(kinds=np.zeros(1, kind))
-    with pytest.raises(TypingError):
-        call.prepare(scenes, *arguments[1:-1])
 
 
 def test_packed_arguments_have_room() -> None:
     context = cpu_target.target_context
     for make in compiler._EXAMPLES.values():
         assert context.get_abi_sizeof(context.get_value_type(numba.typeof(make()))) <= 8 * compiler.PACKED
-
-
-def plus(number: float, more: int) -> float:
-    return number + more
-
-
-def twice(number: float) -> float:
-    return plus(number, 1) + plus(number, 2)
-
-
-def test_a_function_is_compiled_once_whatever_numbers_its_callers_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Numba compiles a function for each whole number that is a literal argument, and takes much longer for it.
-    for function in (plus, twice):
-        monkeypatch.setattr(function, "__module__", "jackbox_env.example")  # others are compiled as numba does
-    compilation = compiler._Compilation(())
-    assert compilation.compiled(twice)(0.5) == 4.0
-    assert len(compilation._twins[plus, True].overloads) == 1
-
-
-def test_the_collector_of_cycles_runs_again_after_compiling() -> None:
-    draw = compiler.compiled_with(uniform, _HALF=np.uint64(32))
-    assert 0.0 <= draw(seeded(0)) < 1.0
-    assert gc.isenabled()
-    gc.disable()
-    try:
-        compiler.compiled_with(uniform, _HALF=np.uint64(32), _ONE=np.uint64(1))(seeded(0))
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
 
 
 # -- exceptions --------------------------------------------------------------------------------------------------------
@@ -117,15 +73,6 @@ def test_cosine_and_sine_are_right(kind: str, ulps: float) -> None:
                 assert abs(value - reference) <= ulps * math.ulp(float(reference)) + (ulps > 1.0) * 1e-18
 
 
-def test_angles_without_turns_are_those_angles() -> None:
-    for angle in (RNG.uniform(-1.0, 1.0, 500) * 10.0 ** RNG.uniform(0.0, 15.9, 500)).tolist():
-        rest = without_turns(angle)
-        with mp.workdps(60):
-            turns = (mp.mpf(angle) - mp.mpf(rest)) / (2 * mp.pi)
-            assert abs(turns - mp.nint(turns)) * 2 * mp.pi < 1e-15
-        assert abs(rest) <= math.pi * (1.0 + 1e-15)
-
-
 def test_angles_beyond_the_reduction_are_handed_on() -> None:
     fast = compiled(cos_sin)
     for angle in (2.0**53, -1e22, 1e300):
@@ -156,41 +103,3 @@ def test_unseeded_generators_differ_and_are_sound() -> None:
 
 
 # -- threads ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7])
-@pytest.mark.parametrize("total", [7, 1000])
-def test_threads_share_out_everything_once(count: int, total: int) -> None:
-    seen = np.zeros(total, dtype=np.int64)
-
-    def work(number: int, low: int, high: int) -> tuple[int, int]:
-        seen[low:high] += 1
-        return number, low
-
-    numbers, lows = zip(*Threads(count).run(work, total, grain=3), strict=True)
-    assert set(numbers) <= set(range(count))
-    assert (seen == 1).all()
-    assert (np.diff(lows) >= 3).all()
-
-
-def test_an_error_in_a_thread_is_raised_and_the_threads_live_on() -> None:
-    threads = Threads(2)
-
-    def fail(number: int, low: int, high: int) -> None:
-        time.sleep(0.01)
-        if number == 1:
-            raise ValueError("from a thread")
-
-    with pytest.raises(ValueError, match="from a thread"):
-        threads.run(fail, 10)
-    assert sum(threads.run(lambda number, low, high: high - low, 10)) == 10
-
-
-def test_the_number_of_threads() -> None:
-    assert (thread_count(3, 100), thread_count(3, 2), thread_count(1000, 10**9), thread_count(None, 0)) == (
-        3,
-        2,
-        256,
-        1,
-    )
-    assert 1 <= thread_count(None, 10**9) <= (os.cpu_count() or 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import subprocess
 import sys
@@ -48,14 +47,3 @@ def test_without_all_other_names_the_bits_are_the_same_and_each_is_noticed(tmp_p
 def test_names_that_all_need_are_few_and_the_versions_are_those_of_the_package() -> None:
     assert len(pipelines.NEEDED) <= 8
     assert "numba>=0.61,<0.70" in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-
-
-def test_only_one_file_imports_private_modules_of_numba() -> None:
-    private = set()
-    for path in (ROOT / "jackbox_env").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            private |= {(path.name, name) for name in names if name.split(".")[0] in ("numba", "llvmlite")}
-    assert {file for file, _ in private} == {"pipelines.py", "code_cache.py"}
-    assert {name for file, name in private if file == "code_cache.py"} == {"numba", "llvmlite"}

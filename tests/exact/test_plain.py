@@ -59,12 +59,15 @@ def played(restitution: float) -> list[str]:
     env.reset(seed=1)
     alone = [env.step(0.0)[:3] for _ in range(60)]
     shaken = Scene(drive=SHAKEN, gravity=20.0, restitution=restitution)
-    nouns: Any = {"observation": "landing", "action": "landing", "action_repeat": "bounce", "episode_steps": 100}
+    nouns: Any = {
+        "task": "rattle", "observation": "landing", "action": "landing", "action_repeat": "bounce",
+        "episode_steps": 100,
+    }  # fmt: skip
     aimed = JackInBoxVectorEnv(2, contact="exact", scene=[shaken, scene], **nouns)
     aimed.reset(seed=0)
     decisions = [aimed.step(np.zeros((2, 2))) for _ in range(12)]
     assert any(infos["duration"][0] == 0.0 < infos["duration"][1] for *_, infos in decisions)
-    chosen = JackInBoxEnv(contact="exact", scene=scene, action="discrete", action_repeat=3)
+    chosen = JackInBoxEnv(contact="exact", scene=scene, task="spin", action="discrete", action_repeat=3)
     chosen.reset(seed=2)
     lying = rollout(Scene(restitution=0.2, drive=None), -4.4 * np.eye(12)[4] + 0.7 * np.eye(12)[5], np.zeros(60), 0.02)
     assert lying[0][-1, 11] == pytest.approx(lying[0][-1, 8], abs=1e-12)  # two feet lie on a wall

@@ -151,23 +151,6 @@ def a_jack_that_loses_energy_comes_to_rest(contact: str) -> Finding:
 # -- feet that start on a wall or behind it ----------------------------------------------------------------------------
 
 
-@case(STARTS, "two feet exactly on the floor: at rest under gravity, 1 s")
-def a_jack_at_rest_on_the_floor_stays_there(contact: str) -> Finding:
-    scene, state, off, impulse = Scene(drive=None), lying(), 0.0, 0.0
-    simulator = started(scene, contact, state)
-    for _ in range(50):
-        simulator.step(0.02, 0.0)
-        impulse += sum(hit.impulse for hit in simulator.impacts)
-        off = max(off, abs(clearance(scene, simulator.state.tolist())))
-    # The floor carries the jack. The box gives way, so the impulse is m_r g t with the reduced mass m_r.
-    carried = abs(impulse / (4.0 * 400.0 / 404.0 * 9.81) - 1.0)
-    return within(
-        Bound("feet off the floor", off, 1e-8, "m"),
-        Bound("the floor's impulse off the weight it carries", carried, 1e-4),
-        Bound("energy", abs(energy(scene, simulator.state) - energy(scene, state)), 1e-9, "J"),
-    )
-
-
 @case(STARTS, "a state with a foot on a wall or up to 1 m outside, put back")
 def a_state_outside_is_put_back_up_to_1_m(contact: str) -> Finding:
     law, rng = 0.0, np.random.default_rng(8)

@@ -1,5 +1,5 @@
-// Steps by a module of the page: the numbers after each step, as Python's environments report them; and episodes of the
-// trained agents: observations and actions of their decisions, the last state, the return.
+// Steps by a module of the page: the numbers after each step, as Python's environments report them; and the returns of
+// episodes of the trained agents.
 async ([module, words, cases, episodes]) => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -26,22 +26,17 @@ async ([module, words, cases, episodes]) => {
     return [task, buffer.agent({ ...agent, weights })];
   });
   buffer.setScene(data.values);
-  const played = episodes.map(([task, start]) => {
+  const returns = episodes.map(([task, start]) => {
     const act = Object.fromEntries(acts)[task];
     buffer.place(buffer.start(start.map(BigInt)), 0.02, task);
     act.restart();
-    const [observations, actions] = [[], []];
     let sum = 0;
     for (let step = 0; step < 500; step++) {
-      const [share, observation] = [act(), buffer.observe()];
-      if (buffer.number("STEPS") === 1) { // it has decided
-        observations.push(...observation);
-        actions.push(...Array.from({ length: data.tasks[task].agent.outputs }, (_, k) => buffer.number("ACTION", k)));
-      }
+      const share = act();
       buffer.step(buffer.after.slice(), 0.02 * step, 0.02, share * data.values[data.torqueLimit]);
       sum += buffer.reward(task);
     }
-    return [text(Float32Array.from(observations)), text(Float64Array.from(actions)), text(buffer.after.slice()), sum];
+    return sum;
   });
-  return { steps, played };
+  return { steps, returns };
 }

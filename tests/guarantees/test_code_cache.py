@@ -149,15 +149,6 @@ def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none
     assert each.endswith("for all, in each process, as it can be kept nowhere (5 s)")
 
 
-def test_code_of_old_sources_is_tidied_away(cache: Path) -> None:
-    old = [cache / f"compiled-{number:02d}" for number in range(12)]
-    for number, folder in enumerate(old):
-        folder.mkdir(parents=True)
-        os.utime(folder, (number, number))
-    turned()
-    assert set(cache.iterdir()) == {*old[5:], files(cache)[0].parent}
-
-
 # -- shipped with a wheel ---------------------------------------------------------------------------------------------
 
 NEWER = "x86_64-unknown-linux-gnu", "newer", ",".join(sorted(code_cache._NEEDS))
@@ -224,15 +215,3 @@ def test_a_change_in_what_compiled_code_comes_from_gives_new_code_and_none_elsew
 def test_code_of_a_function_from_elsewhere_is_not_stored(function: Any, others: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"^code of jackbox_env.planning.rollouts.rollout cannot be stored: "):
         compiler.compiled(function, **others)
-
-
-def test_code_compiled_for_a_call_is_used_by_address_if_the_type_of_the_result_fits(cache: Path) -> None:
-    called, hits = fresh(quarter), list[int]()
-    called(*TURN[0])
-    (inferred,) = called.nopython_signatures
-    other = numba.types.UniTuple(numba.float32, 2)(*inferred.args)
-    for signature in (inferred, other, other, inferred.args):
-        made = fresh(quarter)
-        made.compile(signature)
-        hits.append(sum(made.stats.cache_hits.values()))
-    assert (hits, len(files(cache))) == ([1, 0, 1, 1], 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from jackbox_env.exact import contact
 from jackbox_env.mechanics import simultaneous_impact_map
 from jackbox_env.model.scene import Chirp, Scene
-from jackbox_env.model.states import clearance
 from jackbox_env.simulators import Impact
 from tests.guarantees.poses import velocity_error
 from tests.simulators.exact_runs import plain_step, simulator
@@ -65,17 +63,3 @@ def test_one_contact_after_the_other_would_break_the_simultaneous_law(monkeypatc
 
 
 # -- resting, grazing, touching ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("dt", [0.02, 0.2, 1.0])
-@pytest.mark.parametrize("angle", [0.0, math.pi / 4.0])
-def test_a_foot_that_slides_along_a_wall_is_let_slide(dt: float, angle: float) -> None:
-    # It touches the wall and nothing presses on it: the jack falls along the wall.
-    scene = Scene(drive=None)
-    state = np.zeros(12)
-    state[3], state[5] = 6.0 - math.cos(angle), angle
-    run = simulator(scene, state)
-    run.step(dt)
-    assert [hit for hit in run.impacts if hit.impulse > 1e-6] == []
-    assert run.state[4] == pytest.approx(-0.5 * 9.81 * dt * dt, abs=1e-9)
-    assert clearance(scene, run.state.tolist()) > -1e-9

@@ -84,7 +84,7 @@ def test_calls_by_a_second_thread_are_refused(kind: Any, contact: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [simulator, single, batch])
-def test_all_threads_may_go_on_after_an_interruption(kind: Any) -> None:
+def test_all_threads_may_go_on_after_an_interruption_and_copies_too(kind: Any) -> None:
     torque = Torque()
     made, step, _ = kind("exact", Scene(drive=Drive(torque=torque)))
     before = states(made)
@@ -93,21 +93,10 @@ def test_all_threads_may_go_on_after_an_interruption(kind: Any) -> None:
         step()
     torque.raises = False
     assert states(made) == before
+    note: ThreadNote = (made._simulator if isinstance(made, JackInBoxEnv) else made)._inside
+    note[0] = get_ident()  # as if the interruption had cut the leaving too
+    assert copy.copy(note) == copy.deepcopy(note) == pickle.loads(pickle.dumps(note)) == {}
     step()
     after = states(made)
-    note: ThreadNote = (made._simulator if isinstance(made, JackInBoxEnv) else made)._inside
-    note.setdefault(0, get_ident())  # as if the interruption had cut the leaving too
-    step()
-    assert not note
     in_thread(step).join(20.0)
     assert states(made) != after
-
-
-def test_copies_of_a_note_are_empty() -> None:
-    note = ThreadNote({0: get_ident()})
-    assert copy.copy(note) == copy.deepcopy(note) == pickle.loads(pickle.dumps(note)) == {}
-    env = JackInBoxVectorEnv(2, contact="exact")
-    env.reset(seed=0)
-    env._inside[0] = -1  # another thread
-    twin: JackInBoxVectorEnv = pickle.loads(pickle.dumps(env))
-    twin.step(None)

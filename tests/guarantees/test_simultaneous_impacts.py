@@ -20,7 +20,7 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from tests.fingerprints import digest
 from tests.guarantees.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error
-from tests.states import Array, inside, several_contacts
+from tests.states import Array, inside, one_foot_on_wall, several_contacts
 
 Contacts = list[tuple[int, int]]
 Cases = Callable[[int], int]
@@ -173,20 +173,30 @@ def test_reflection_is_not_the_law_where_an_impulse_pulls(
 
 
 @pytest.mark.parametrize("contact", CONTACT_MODELS)
-@pytest.mark.parametrize("inertia", [4.0, 0.4])
-@pytest.mark.parametrize("kind", ["one wall", "two walls", "corner"])
-def test_both_contact_models_apply_the_law(contact: str, kind: str, inertia: float, cases: Cases) -> None:
-    rng, several = np.random.default_rng(2), 0
-    scene = Scene(gravity=0.0, drive=None, jack_inertia=inertia)
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        *[(kind, {"jack_inertia": inertia}) for kind in ("one wall", "two walls", "corner") for inertia in (4.0, 0.4)],
+        *[("one foot", {"jack_inertia": 2.0, "box_mass": 70.0, "restitution": e}) for e in (0.3, 1.0)],
+    ],
+)
+def test_both_contact_models_apply_the_law(contact: str, kind: str, fields: Any, cases: Cases) -> None:
+    rng, several, scene = np.random.default_rng(2), 0, Scene(gravity=0.0, drive=None, **fields)
     for _ in range(cases(60)):
-        state, contacts = several_contacts(scene, rng, kind)
+        if kind == "one foot":
+            state, *pair = one_foot_on_wall(scene, rng)
+            contacts = [(pair[0], pair[1])]
+        else:
+            state, contacts = several_contacts(scene, rng, kind)
         expected, impulses = simultaneous_impact_map(scene, state, contacts)
         simulator = make_simulator(scene, contact, substeps=1 if contact == "pymunk" else None)
         simulator.reset(state)
         simulator.step(1e-13, torque=0.0)
         assert velocity_error(scene, simulator.state[6:], expected[6:]) < 1e-8
-        several += (impulses > 0.0).sum() > 1
-    assert several > cases(5)
+        struck = {(hit.wall, hit.foot): hit.impulse for hit in simulator.impacts}
+        assert sum(struck.values()) == pytest.approx(impulses.sum(), rel=1e-8)
+        several += len(struck) > 1
+    assert several > cases(5) or kind == "one foot"
 
 
 CORNER = 6.0 - math.sqrt(0.5)  # of the jack's centre along each wall from the box's, with a foot in a corner [m]

@@ -5,7 +5,7 @@ record       impacts are in time order and within their step, at existing walls 
 momentum     total momentum = that at the start + impulse of the side forces - m_j g t
 centre       the common centre of mass goes where that momentum takes it
 energy       gained in steps of held torque without side forces = torque times the box's turn; with losses, no more
-restore      another simulator, reset to (state, time), makes the same step bit for bit
+restore      a new simulator, reset to (state, time), makes the same step bit for bit
 refusal      a step is refused by JackLostError only, and leaves the simulator as it was
 """
 
@@ -48,13 +48,13 @@ def examine(case: Case) -> Counter[str]:
         AssertionError: an invariant does not hold; the message names it.
     """
     seen = Counter(cases=1)
-    run, twin = simulator_of(case), simulator_of(case)
-    if run is None or twin is None:
+    run = simulator_of(case)
+    if run is None:
         return seen + Counter(refused=1)
     balance = Balance(case)
     for action in case.actions:
         torque = None if action is None else action * case.scene.torque_limit
-        before = run.state
+        before, twin = run.state, make_simulator(case.scene, contact=case.contact, substeps=case.substeps)
         twin.reset(before, run.time)
         if not stepped(run, case.control_dt, torque):
             return seen + Counter(refused=1)
@@ -86,18 +86,17 @@ def assert_contained(case: Case, run: Simulator) -> None:
     """Containment, in the present state."""
     state = run.state.tolist()
     allowed = start_tolerance(state) if case.contact == "exact" else deepest_restored(case.scene)
-    assert clearance(case.scene, state) >= -allowed, "containment"
+    assert clearance(case.scene, state) >= -allowed, f"containment: {clearance(case.scene, state):.3g} m from the walls"
 
 
 def _assert_recorded(case: Case, run: Simulator) -> None:
     """Times are added up from the step's start, with one rounding more than the step's end."""
     slack = 4.0 * math.ulp(abs(run.time) + case.control_dt)
     times = [run.time - case.control_dt - slack, *(impact.time for impact in run.impacts), run.time + slack]
-    assert times == sorted(times), "record"
+    assert times == sorted(times), f"record: {times}"
     for hit in run.impacts:
-        assert hit.wall in range(4), "record"
-        assert hit.foot in range(4), "record"
-        assert 0.0 < hit.impulse < math.inf, "record"
+        assert {hit.wall, hit.foot} <= {*range(4)}, f"record: {hit}"
+        assert 0.0 < hit.impulse < math.inf, f"record: {hit}"
 
 
 class Balance:
@@ -120,7 +119,8 @@ class Balance:
     def _assert_small(self, name: str, off: float, size: float, granted: float = 0.0) -> None:
         """``off`` is rounding of the largest ``size`` so far, beside what is ``granted``."""
         self._largest[name] = max(self._largest[name], size)
-        assert off <= ROUNDING * self._largest[name] + granted, name
+        allowed = ROUNDING * self._largest[name] + granted
+        assert off <= allowed, f"{name} is {off:.3g} off, at most {allowed:.3g} is rounding"
 
     def enter(self, before: Array, run: Simulator, torque: float | None) -> None:
         """Assert the balances after a step."""

@@ -20,7 +20,7 @@ from scripts.studies.baselines.threshold import BAND, reflect
 from tests.states import one_foot_on_wall
 
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
-NEEDS_MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco is not installed")
+NEEDS_MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco: pip install mujoco")
 EVERY_BASELINE = pytest.mark.parametrize("name", ["threshold", "box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
 EVERY_ENGINE = pytest.mark.parametrize("name", ["box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
 

@@ -20,7 +20,7 @@ FINEST = [(name, engine.points[-1]) for name, engine in engines.ENGINES.items()]
 def installed(name: str) -> engines.Engine:
     """The engine; skips the test if it is not installed."""
     engine = engines.ENGINES[name]
-    return engine if engine.version else pytest.skip(f"{name} is not installed")
+    return engine if engine.version else pytest.skip("an engine is missing: see engines in the Makefile")
 
 
 @pytest.mark.parametrize(("name", "point"), FINEST)
