@@ -54,7 +54,7 @@ class Arguments:
     file: Path  # CSV of states with the columns case, time and the 12 numbers, x_box to omega_jack
     impacts: Path | None = None  # CSV of impacts: case, time, wall and foot; None: only the states are scored
     tolerance: float = TOLERANCE  # largest error of a correct impact's time [s]
-    out: Path | None = None  # new folder for scores.json and the plot; None: runs/referee-<date>-<time>
+    folder: Path | None = None  # new folder for scores.json and the plot; None: runs/referee-<date>-<time>
 
 
 class Score(NamedTuple):
@@ -336,7 +336,7 @@ def main() -> None:
         write_json(folder / "scores.json", {"summary": total, "cases": [one._asdict() for one in scores]})
         draw(scores, folder / "impacts.png")
 
-    print(f"Wrote {new_folder(arguments.out, 'referee', fill)}")
+    print(f"Wrote {new_folder(arguments.folder, 'referee', fill)}")
 
 
 if __name__ == "__main__":

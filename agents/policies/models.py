@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import math
 import pickle
 import sys
 from collections.abc import Iterable
@@ -169,6 +168,7 @@ def model_in_env(
                 f"{file} was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or "
                 "save it by jackbox_env.sb3.save_model"
             )
+    check.known_keys("missing in env.json", stored["missing"], ENV_KEYWORDS)
     for name in stored["missing"]:
         if name not in chosen:
             raise ValueError(
@@ -183,7 +183,12 @@ def model_in_env(
         spaces: Any = env.observation_space, env.action_space
         shape: tuple[int, ...] = spaces[0].shape
         if len(shape) == 1:
-            shape = (math.prod([*shape, *(one.get("stack", 1) for one in wrappers)]),)
+            for one in wrappers:
+                shape = (shape[0] * one.get("stack", 1),)
+                if one.get("mean", np.empty(shape)).shape != shape:
+                    raise ValueError(
+                        f"mean and variance must be {shape[0]} numbers, as are observed, got {one['mean']}"
+                    )
         elif wrappers:
             raise ValueError("its observations are pixels, which env.json cannot stack or scale")
         known = model.observation_space.shape

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import math
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,27 +61,23 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _state(text: str) -> list[Any]:
-    """The 12 numbers of --state.
+def _state(text: str) -> list[Any] | dict[str, Any]:
+    """The 12 numbers of --state, or numbers by name.
 
     Raises:
-        ValueError: unusable text, an unknown name, or one that comes twice.
+        ValueError: unusable text, or a name that comes twice.
     """
     if text.lstrip().startswith("["):
         return check.from_json("state", text, list)
-    numbers = dict[str, float]()
+    numbers = dict[str, Any]()
     for part in filter(None, text.split(",")):
         name, _, value = (word.strip() for word in part.partition("="))
-        check.known_keys("state", [name], STATE_NAMES)
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number) or name in numbers:
-            what = "come once" if name in numbers else "be a finite number"
-            raise ValueError(f"{name} in state must {what}, got {check.shown(part)}")
-        numbers[name] = number
-    return [numbers.get(name, 0.0) for name in STATE_NAMES]
+        if name in numbers:
+            raise ValueError(f"{name} in state must come once, got {check.shown(part)}")
+        numbers[name] = value
+        with suppress(ValueError):
+            numbers[name] = float(value)
+    return numbers
 
 
 # -- torques -----------------------------------------------------------------------------------------------------------

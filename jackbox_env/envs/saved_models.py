@@ -34,7 +34,7 @@ _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
     "VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder",
 }  # fmt: skip
-_KEYS = {"env", "missing", "wrappers", "algorithm"}  # of an entry
+_KEYS = {"algorithm": str, "env": dict, "missing": list, "wrappers": list}  # of an entry
 _BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
 _PICTURES = ("render_mode", "render_size", "render_overlay")
 _MOST_BYTES = 10_000_000  # that are read of env.json
@@ -91,8 +91,9 @@ def read_stored(path: Path) -> dict[str, dict[str, Any]]:
         return {}
     entries = check.from_json(str(path), path.read_bytes()[:_MOST_BYTES].decode(errors="replace"), dict)
     for name, entry in entries.items():
-        if not isinstance(entry, dict) or not entry.keys() >= _KEYS:
-            raise ValueError(f"{path}: {name} must have {', '.join(sorted(_KEYS))}, got {check.shown(entry)}")
+        if not isinstance(entry, dict) or not all(isinstance(entry.get(key), kind) for key, kind in _KEYS.items()):
+            needed = ", ".join(f"{key} ({kind.__name__})" for key, kind in _KEYS.items())
+            raise ValueError(f"{path}: {name} must have {needed}, got {check.shown(entry)}")
     return entries
 
 

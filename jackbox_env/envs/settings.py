@@ -12,7 +12,7 @@ _SCENE = 'reset(options={"scene": ...}) changes it'
 _INSTEAD = {
     "scene": _SCENE, "scenes": _SCENE, "state": "set_state changes it", "time": "set_state changes it",
     "states": "set_states changes them", "times": "set_states changes them",
-    "observation": "make a new environment with observation=...",
+    "observation": "make a new environment with observation=...", "np_random": "reset(seed=...) seeds the environments",
 }  # fmt: skip
 
 

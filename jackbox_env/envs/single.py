@@ -40,6 +40,9 @@ VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
 )
+_KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the right arrow key
+    ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
+}  # fmt: skip
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
@@ -450,12 +453,23 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             self._renderer.close()
             self._renderer = None
 
-    def get_keys_to_action(self) -> dict[tuple[int, ...], AnyAction]:
-        """Keys for `gymnasium.utils.play` with torques. Left turns the box counter-clockwise, right clockwise."""
-        import pygame
+    @property
+    def get_keys_to_action(self) -> Callable[[], dict[tuple[int, ...], AnyAction]]:
+        """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
 
-        left, right = np.array([[1.0], [-1.0]], dtype=np.float32)
-        return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
+        Raises:
+            AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
+        """
+        if self.nouns.action not in _KEYS:
+            raise AttributeError("there are keys for action='torque' and 'discrete' only")
+        left, right = _KEYS[self.nouns.action]
+
+        def keys() -> dict[tuple[int, ...], AnyAction]:
+            import pygame
+
+            return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
+
+        return keys
 
     # -- helpers ------------------------------------------------------------------------------------------------------
 

@@ -284,6 +284,11 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
+    @property  # type: ignore[misc]
+    def np_random(self) -> np.random.Generator:
+        """There is none: each environment has one of its own, which ``reset(seed=...)`` seeds."""
+        raise AttributeError("each environment has a generator of its own: reset(seed=...) seeds them")
+
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The environments' seeds, -1 where none was given."""

@@ -21,7 +21,7 @@ functions here and those of a user, see ``exact/score.py``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from types import FunctionType
@@ -184,12 +184,15 @@ OBSERVATIONS = {
 }
 
 
-def seen_of(observation: str | Observation | Pixels) -> tuple[Observation, Pixels | None]:
+def seen_of(observation: str | Observation | Pixels | Mapping[str, Any]) -> tuple[Observation, Pixels | None]:
     """The numbers that an agent observes, and the pictures that it observes instead of the ten numbers, or None.
 
     Raises:
         TypeError, ValueError: as :func:`observation_of`; or a picture's size or stack is out of its range.
     """
+    if isinstance(observation, Mapping):  # Pixels in the JSON form of a spec
+        check.known_keys("observation", observation, ("size", "stack"))
+        observation = Pixels(**observation)
     pixels = pixels_named(observation) if isinstance(observation, str) else observation
     if isinstance(pixels, Pixels):
         return STATE, pixels

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
 from jackbox_env.tools import checks as check
 
 _NAME = re.compile(r"pixels-(\d{1,6})x(\d{1,6})x(\d{1,6})", re.ASCII)
+_MOST = 100_000_000  # of an observation
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Pixels:
             self, "stack",
             check.whole("stack of Pixels, below the smaller side,", self.stack, at_least=1, at_most=min(self.size) - 1),
         )  # fmt: skip
+        if math.prod(self.shape) > _MOST:
+            raise ValueError(f"Pixels must be at most {_MOST:,} in all pictures, got {check.shown(self)}")
 
     @property
     def shape(self) -> tuple[int, int, int]:

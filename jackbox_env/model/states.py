@@ -8,7 +8,7 @@ float64, SI units, positions first, then their rates.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -140,6 +140,16 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 def deepest_restored(scene: Scene) -> float:
     """How far outside the box a foot may be in a restored state [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
+
+
+def by_names(numbers: Mapping[str, float]) -> Array:
+    """The state, shape (12,), of numbers by name, SI units; those without one are 0.
+
+    Raises:
+        TypeError, ValueError: an unknown name, or no finite number.
+    """
+    check.known_keys("state", numbers, STATE_NAMES)
+    return np.array([check.real(f"{name} in state", numbers.get(name, 0.0)) for name in STATE_NAMES])
 
 
 def as_restored(scene: Scene, state: ArrayLike) -> Array:

@@ -39,7 +39,7 @@ def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Col
 
 def frame(columns: Columns) -> Any:
     """A pandas.DataFrame of columns, without units."""
-    library: Any = _library("pandas", "to_frame", "pandas", "notebooks")
+    library: Any = _library("pandas", "to_frame", "pandas", "all")
     return library.DataFrame({name: numbers for (name, _), numbers in columns.items()})
 
 

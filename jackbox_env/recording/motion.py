@@ -48,7 +48,8 @@ class Motion:
         impacts: a structured array in time order: ``time`` [s], ``wall``, ``foot``, ``impulse`` [N s], and the states
             ``before`` and ``after``, 12 numbers each. Feet that strike at one moment have a row each, of the same
             states. A foot at rest on a wall has a row at the end of each step, with the impulse of the whole step,
-            before = after, and True in the field ``resting``. With pymunk there are only the first four fields.
+            before = after, and True in the field ``resting``; ``impact_count`` leaves it out.
+            With pymunk there are only the first four fields.
         failure: the error that ended the motion early, or None.
     """
 
@@ -212,15 +213,17 @@ class Motion:
         drive, spans = self.scene.drive or Drive(), zip(self.t[:-1].tolist(), np.diff(self.t).tolist(), strict=True)
         return np.array([sum(drive.torque_means(start, length)) / 2.0 for start, length in spans])
 
-    def to_frame(self) -> Any:
+    def to_frame(self, table: Literal["states", "impacts"] = "states") -> Any:
         """The states as a pandas.DataFrame: columns time, the 12 names of a state, torque; a row for each of ``t``.
 
-        A row's torque is the mean over the control step that begins there; the last row's is NaN.
+        A row's torque is the mean over the control step that begins there; the last row's is NaN. The table "impacts"
+        has a row for each of ``impacts``, with columns as "before x_box"; ``resting`` is 1 for a foot at rest.
 
         Raises:
+            ValueError: an unknown table.
             ImportError: pandas is not installed.
         """
-        return frame(self.tables()[0])
+        return frame(self.tables()[check.choice("table", table, ("states", "impacts")) == "impacts"])
 
     def save(self, path: str | Path) -> list[Path]:
         """Write a new file by the suffix of its name: .npz, .csv or .mat. With .csv the impacts have a second file.

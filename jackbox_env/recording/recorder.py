@@ -54,6 +54,8 @@ _CHUNK = 64  # steps between two searches for an event at first, then twice as m
 # Simulates from a state and a time [s] in steps of dt [s], by their number, under constant torques or the drive (None).
 Advance = Callable[[Array, float, float, int, Array | None], Record]
 
+Controller = Callable[[float, Array], float]  # returns the torque of a step from its start's time [s] and state [N m]
+
 
 def exact_advance(scene: Scene) -> Advance:
     """Simulation by the exact contact model; an error in a step ends it before, as the record's failure."""
@@ -198,21 +200,25 @@ def within_memory() -> Iterator[None]:
 
 
 def run_record(
-    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float], torques: Torques,
-    event: Event | None = None, progress: bool = False,
+    advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float],
+    torques: Torques | Controller, event: Event | None = None, progress: bool = False,
 ) -> tuple[Record, float]:  # fmt: skip
     """Advance step by step until the end, an event or a failure; return the record and the time of the event [s].
 
     Steps after an event may have been made; a failure in one of them is none.
     """
     whole, rest = steps
-    parts, done, end = list[Record](), 0, None
-    size = whole if event is None and not progress else _CHUNK
-    largest = max(_CHUNK, whole // 100) if progress else whole
+    parts, applied, done, end = list[Record](), list[float](), 0, None
+    size = 1 if callable(torques) else whole if event is None and not progress else _CHUNK
+    largest = 1 if callable(torques) else max(_CHUNK, whole // 100) if progress else whole
     with bar(whole, progress) as moved:
         while end is None and (done < whole or (rest > 0.0 and done == whole)):
             length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
-            held = torques[done : done + count] if isinstance(torques, np.ndarray) else torques
+            if callable(torques):
+                applied.append(torques(time, state))
+                held: Torques = applied[-1]
+            else:
+                held = torques[done : done + count] if isinstance(torques, np.ndarray) else torques
             part = advance(state, time, length, count, None if held is None else np.broadcast_to(held, count))
             parts.append(part)
             state, time, done, size = part.states[-1], float(part.times[-1]), done + count, min(2 * size, largest)
@@ -221,7 +227,9 @@ def run_record(
                 end = event(part)
             if part.failure is not None:
                 break
-    record = joined_records(parts, dt, rest if done > whole else 0.0, torques)
+    record = joined_records(
+        parts, dt, rest if done > whole else 0.0, np.array(applied) if callable(torques) else torques
+    )
     return (record, math.inf) if end is None else (replace(record, failure=None), end)
 
 

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.model.scene import Chirp, Drive, Scene
-from jackbox_env.model.states import LATEST_TIME, Array, as_restored
+from jackbox_env.model.states import LATEST_TIME, Array, State, as_restored, by_names
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.record import Torques
-from jackbox_env.recording.recorder import exact_advance, run_record, stepping_advance, steps_of, within_memory
+from jackbox_env.recording.recorder import (
+    Controller,
+    exact_advance,
+    run_record,
+    stepping_advance,
+    steps_of,
+    within_memory,
+)
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting
@@ -24,10 +32,10 @@ EXACT = "exact"
 
 def simulate(
     scene: Scene | Mapping[str, Any] | None = None,
-    state: ArrayLike | None = None,
+    state: ArrayLike | Mapping[str, float] | None = None,
     duration: float = 10.0,
     *,
-    torque: float | ArrayLike | Callable[[float], float] | None = None,
+    torque: float | ArrayLike | Callable[..., float] | None = None,
     time: float = 0.0,
     dt: float = 0.02,
     fidelity: str = "exact",
@@ -42,18 +50,25 @@ def simulate(
     >>> fallen = jackbox_env.simulate({"drive": None}, until=lambda state: state.y_jack + 2.0)
     >>> fallen.t[-1].round(6).item(), fallen.states[-1, 4].round(6).item()  # 2 m below the start
     (0.638551, -2.0)
+    >>> def level(time, state):  # a controller: it turns the box back
+    ...     return -2e5 * state.theta_box - 1e5 * state.omega_box
+    >>> levelled = jackbox_env.simulate(None, {"theta_box": 0.1}, torque=level)
+    >>> abs(levelled.states[-1, 2]).round(3).item()
+    0.0
 
     Args:
         scene: a Scene, a dict of some of its fields, or None for the default scene.
-        state: at the start, 12 numbers, SI units; a foot may be up to 1 m outside. None: all 0, with the jack at rest
-            in the middle.
+        state: at the start, 12 numbers, SI units, or a dict of some by their names; a foot may be up to 1 m outside.
+            Others are 0; None: all are, with the jack at rest in the middle.
         duration: simulated time [s], > 0. If it is no multiple of ``dt``, the last step is shorter. At most 10,000,000
             steps of ``dt``.
         torque: on the box. None: the scene's drive; a number [N m] (0.0: none); a function of the time [s] that
-            returns N m; or one number for each control step. The drive's side forces act in any case.
+            returns N m; one number for each control step; or a controller, a function of the time [s] and the
+            :class:`jackbox_env.State`, called at the start of each step, in which the N m that it returns are constant.
+            The drive's side forces act in any case.
         time: at the start [s].
         dt: duration of a control step [s], > 0. It does not change the exact motion, except that each torque of an
-            array is constant for one step.
+            array or a controller is constant for one step.
         fidelity: a name of ``FIDELITIES``: "exact", or one of pymunk. With pymunk there are states at the ends of
             control steps only.
         until: what ends the motion before ``duration``; "exact" only. "impact"; a number of impacts, > 0; or a
@@ -73,8 +88,10 @@ def simulate(
     event = event_of(until)
     if event is not None and setting.contact != EXACT:
         raise ValueError(f"until needs fidelity='exact', got {check.shown(until)} with fidelity={fidelity!r}")
-    torques: Torques = None
-    if callable(torque):
+    torques: Torques | Controller = None
+    if callable(torque) and _is_controller(torque):
+        torques = _checked(torque)
+    elif callable(torque):
         scene = scene.changed(drive=_turned_by(torque, scene.drive))
     elif torque is not None:
         torques = _torques(torque, steps_of(duration, dt))
@@ -82,6 +99,22 @@ def simulate(
     if motion.failure is not None:
         raise motion.failure
     return motion
+
+
+def _is_controller(function: Callable[..., float]) -> bool:
+    """Whether a function needs a state beside the time."""
+    try:
+        signature(function).bind(0.0)
+    except TypeError:
+        return True
+    except ValueError:  # numpy's functions have none
+        pass
+    return False
+
+
+def _checked(function: Callable[[float, State], float]) -> Controller:
+    """The controller, whose torques are checked."""
+    return lambda time, state: check.real(f"torque({time:g} s, state)", function(time, State(*state.tolist())))
 
 
 def _turned_by(torque: Callable[[float], float], drive: Chirp | Drive | None) -> Drive:
@@ -105,15 +138,15 @@ def _torques(torque: Any, steps: tuple[int, float]) -> Array | float:
 
 
 def recorded(
-    scene: Scene, setting: Setting, state: ArrayLike, time: float, duration: float, dt: float, torques: Torques,
-    event: Event | None = None, progress: bool = False,
+    scene: Scene, setting: Setting, state: ArrayLike | Mapping[str, float], time: float, duration: float, dt: float,
+    torques: Torques | Controller, event: Event | None = None, progress: bool = False,
 ) -> Motion:  # fmt: skip
     """:func:`simulate` by any contact model; an error in a step ends the motion early.
 
-    ``torques`` has one for each step at least, or is that of any step [N m]; ``progress`` shows a bar. The other
-    arguments of numbers but state and time have been checked.
+    ``torques`` has one for each step at least, or is that of any step [N m], or returns it; ``progress`` shows a bar.
+    The other arguments of numbers but state and time have been checked.
     """
-    state = as_restored(scene, state)
+    state = as_restored(scene, by_names(state) if isinstance(state, Mapping) else state)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
     for start in (time, time + max(duration - dt, 0.0)):
         end_of_step(start, min(dt, duration))

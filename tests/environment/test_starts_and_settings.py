@@ -12,7 +12,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
-from jackbox_env import Drive, Scene
+from jackbox_env import Drive, Pixels, Scene
 from jackbox_env.mechanics import gaps
 from jackbox_env.simulators import CONTACT_MODELS
 
@@ -56,6 +56,7 @@ def test_long_arms_start_where_they_fit(arm: float, spread: float) -> None:
     [
         {"scene": Scene(gravity=1.62, jack_arm=2.0), "torque": "chirp", "control_dt": 0.01},
         {"scene": {"gravity": 1.62, "drive": {"rate": 0.1}}, "task": "spin", "substeps": 8},
+        {"scene": {}, "observation": Pixels((32, 24), 2)},
     ],
     ids=str,
 )

@@ -13,7 +13,8 @@ import pytest
 from gymnasium.wrappers import RescaleAction
 
 import jackbox_env  # noqa: F401
-from jackbox_env import Scene
+from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene
+from jackbox_env.envs.settings import Settings
 
 
 def test_environments_in_other_processes_under_the_chirp_equal_a_wrapped_one_driven_by_none_bitwise() -> None:
@@ -100,7 +101,7 @@ def test_errors_of_missing_packages_name_the_command_that_installs_them() -> Non
 def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
     backend = pytest.importorskip("matplotlib")
     monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play opens a Tk window at import
-    from gymnasium.utils.play import play
+    from gymnasium.utils.play import MissingKeysToAction, play
 
     presses = {10: pygame.KEYDOWN, 20: pygame.KEYUP, 30: pygame.QUIT}  # after so many steps
     actions, torques = list[Any](), list[float]()
@@ -115,5 +116,24 @@ def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.
     assert actions == [None] * 10 + [1.0] * 10 + [None] * 10
     assert set(torques[10:20]) == {90000.0}
     assert not {0.0, 90000.0} & {*torques[:10], *torques[20:]}
-    keys: Any = gym.make("JackInBox-v0").get_wrapper_attr("get_keys_to_action")()
-    assert keys[(pygame.K_LEFT,)] == -keys[(pygame.K_RIGHT,)] == 1.0
+    for action, right in (("torque", -1.0), ("discrete", 0)):
+        keys: Any = gym.make("JackInBox-v0", action=action).get_wrapper_attr("get_keys_to_action")()
+        assert keys[(pygame.K_RIGHT,)] == right < keys[(pygame.K_LEFT,)]
+    with pytest.raises(MissingKeysToAction):
+        play(gym.make("JackInBox-v0", render_mode="rgb_array", action="landing"))
+
+
+@pytest.mark.parametrize(
+    ("ours", "inherited"),
+    [
+        (JackInBoxEnv, {"get_wrapper_attr", "has_wrapper_attr", "set_wrapper_attr", "np_random", "np_random_seed"}),
+        (JackInBoxVectorEnv, {"close", "closed"}),
+    ],
+)
+def test_every_public_attribute_of_gymnasium_is_ours_refused_or_right_as_inherited(ours: Any, inherited: Any) -> None:
+    (base,) = {gym.Env, gym.vector.VectorEnv} & {*ours.__mro__}
+    names = {name for name in dir(base) if not name.startswith("_")} - {"spec", "unwrapped"}
+    assert names - set(vars(ours)) - set(vars(Settings)) <= inherited
+    for name in {"np_random", "np_random_seed"} - inherited:
+        with pytest.raises(AttributeError):
+            setattr(ours(), name, np.random.default_rng(0))

@@ -19,6 +19,7 @@ import jackbox_env
 import jackbox_env.recording.recorder
 from jackbox_env import Chirp, Drive, Motion, Scene, State, make_simulator, rollout, simulate
 from jackbox_env.mechanics import gaps, simultaneous_impact_map
+from jackbox_env.simulators import CONTACT_MODELS
 from tests.states import inside, load, lying
 
 RECORDS = [*load("exact_trajectories"), *load("loss_trajectories"), *load("seed_scene")]
@@ -319,6 +320,25 @@ def test_torques_are_numbers_functions_or_one_for_each_step() -> None:
     np.testing.assert_allclose(function.mean_torques, 5e4)
 
 
+@pytest.mark.parametrize("contact", CONTACT_MODELS)
+def test_a_controller_sets_the_torque_of_each_step_from_its_time_and_state(contact: str) -> None:
+    def level(time: float, state: State) -> float:
+        return time - 9e4 * state.theta_box - state[8]
+
+    fidelity = "exact" if contact == "exact" else "balanced"
+    start, simulator = {"theta_box": 0.2, "vx_jack": 3.0}, make_simulator(fidelity=fidelity)
+    motion = simulate(None, start, 3.01, torque=level, time=5.0, fidelity=fidelity)
+    simulator.reset([start.get(name, 0.0) for name in State._fields], 5.0)
+    assert motion.torques is not None
+    for number, torque in enumerate(motion.torques.tolist()):
+        assert torque == level(simulator.time, State(*simulator.state.tolist()))
+        simulator.step(0.02 if number < 150 else motion._record.rest, torque)
+        np.testing.assert_array_equal(motion.states[number + 1], simulator.state)
+    if contact == "exact":
+        np.testing.assert_array_equal(motion.restart(0).states[-1], motion.states[-1])
+        assert simulate(None, start, 3.0, torque=level, time=5.0, until=1).t[-1] == motion.impacts["time"][0]
+
+
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
@@ -348,13 +368,17 @@ def test_files_have_the_motion(tmp_path: Path, fidelity: str) -> None:
 
 
 def test_a_frame_has_names_without_units_and_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    motion = simulate(duration=1.0)
+    motion = simulate(duration=2.0)
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    hits = motion.to_frame("impacts")
+    np.testing.assert_array_equal(hits["after omega_jack"], motion.impacts["after"][:, 11])
     frame = motion.to_frame()
     assert list(frame) == ["time", *State._fields, "torque"]
     np.testing.assert_array_equal(frame["y_jack"], motion.states[:, 4])
+    with pytest.raises(ValueError, match="table must be one of 'states', 'impacts', got 'torques'"):
+        motion.to_frame("torques")  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match="to_frame needs pandas, the extra 'notebooks'"):
+    with pytest.raises(ImportError, match="to_frame needs pandas, the extra 'all'"):
         motion.to_frame()
     monkeypatch.setitem(sys.modules, "scipy.io", None)
     with pytest.raises(ImportError, match=".mat files needs SciPy, the extra 'train'"):

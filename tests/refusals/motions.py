@@ -22,9 +22,13 @@ UNTIL = replace(
 ).but(word=wrong(lambda state: "up", "'up'"), nan=out(lambda state: math.nan, "nan"))
 SIMULATE: Kinds = {
     "scene": ONE_SCENE,
-    "state": replace(state(1.0).but(nothing=None), accepted=(None,)),
+    "state": replace(
+        state(1.0).but(nothing=None, dict=out({"something": 1}, "'something'")), accepted=(None, {"x_jack": 1})
+    ),
     "duration": real(0.125, above=0.0).but(steps=out(1e9, "1e+09", "steps")),
-    "torque": TORQUES.but(function=wrong(lambda time: "up", "'up'")),
+    "torque": TORQUES.but(
+        function=wrong(lambda time: "up", "'up'"), controller=out(lambda time, state: math.nan, "nan")
+    ),
     "time": real(1.0, at_least=-1e9, at_most=1e9, ends=False),
     "dt": DT.but(tiny=out(1e-12, "1e-12", "steps")),
     "fidelity": choice("exact", FIDELITIES),

@@ -67,7 +67,8 @@ TASK = instance(
 changed: Any = replace  # to values of wrong types
 SEEN = jackbox_env.Observation(("height",), -1.0, 1.0, lambda scene, state, time: (state.y_jack,))
 OBSERVATION = instance(
-    "landing", "text", "empty_text", unknown=out("pixel", "'pixel'", "'state'", "'landing'", "'pixels'"),
+    "landing", "text", "empty_text", "dict", mapping=out({"something": 1}, "'size'", "'something'"),
+    unknown=out("pixel", "'pixel'", "'state'", "'landing'", "'pixels'"),
     small=out("pixels-15x84x1", "size", "16", "(15, 84)", named="Pixels"),
     deep=out("pixels-84x36x36", "stack", "35", "36", named="Pixels"),
     plain_function=wrong(SEEN.values, "jackbox_env.Observation"), no_names=out(changed(SEEN, names=()), "names", "()"),

@@ -257,7 +257,7 @@ SIMULATIONS = [
         "state accepts only 'x_box', 'y_box', 'theta_box', 'x_jack', 'y_jack', 'theta_jack', 'vx_box', "
         "'vy_box', 'omega_box', 'vx_jack', 'vy_jack', 'omega_jack', got 'x'",
     ),
-    refused(simulates("--state x_jack=a"), "x_jack in state must be a finite number, got 'x_jack=a'"),
+    refused(simulates("--state x_jack=a"), "x_jack in state must be a finite number, got 'a'"),
     refused(simulates("--state x_jack=1,x_jack=2"), "x_jack in state must come once, got 'x_jack=2'"),
     refused(simulates("--torque calm"), "torque must be chirp, none or a CSV or npz file, got 'calm'"),
     refused(

@@ -200,6 +200,8 @@ def misfit(make: Callable[[], Any], sentence: str, *options: str) -> Refusal:
 
 
 STATISTICS = {"mean": [0.0], "variance": [], "clip": 1.0, "epsilon": 1e-8}
+DAMAGED: tuple[dict[str, Any], ...] = ({}, {"missing": 5}, {"missing": "abc"}, {"env": []})
+BESIDE = "env.json: model.zip must have algorithm (str), env (dict), missing (list)"
 MODELS = [
     Refusal(
         lambda _: find_policy("model.zip", HERE),
@@ -243,7 +245,18 @@ MODELS = [
         "be imported: FileNotFoundError: [Errno 2] No such file or directory: 'nowhere.py'",
         env={"observation": "nowhere.py:x"},
     ),
-    damaged("env.json: model.zip must have algorithm, env, missing, wrappers, got {}"),
+    *(damaged(f"{BESIDE}, wrappers (list), got {'...' if change else '{}'}", **change) for change in DAMAGED),
+    damaged("missing in env.json accepts only 'contact', ..., got 5", missing=[5]),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance must be 20 numbers, "
+        "as are observed, got [0.]",
+        wrappers=[{"stack": 2}, {**STATISTICS, "variance": [1.0]}],
+    ),
+    damaged(
+        "model.zip cannot be played as env.json or --env describe: ValueError: Pixels must be at most 100,000,000 in "
+        "all pictures, got Pixels(size=(4096, 4096), stack=4095)",
+        env={"observation": "pixels-4096x4096x4095"},
+    ),
     Refusal(
         lambda _: save_model(PPO("MlpPolicy", "Pendulum-v1"), Path("model.zip")),
         TypeError,

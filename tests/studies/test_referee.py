@@ -165,7 +165,7 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     states, impacts = write(tmp_path, "bounce", "spin")
-    judge(monkeypatch, states, "--impacts", impacts, "--out", tmp_path / "out")
+    judge(monkeypatch, states, "--impacts", impacts, "--folder", tmp_path / "out")
     printed = capsys.readouterr().out
     assert "38 of 40 cases are missing and not scored: flight, two-feet" in printed
     assert re.search(r"bounce +1 of 1 ", printed)
@@ -175,7 +175,7 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
     assert written["cases"][1]["correct"] >= 11
     assert (tmp_path / "out" / "impacts.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
-        judge(monkeypatch, states, "--out", tmp_path / "out")
+        judge(monkeypatch, states, "--folder", tmp_path / "out")
     assert "out" in capsys.readouterr().err
 
 
@@ -232,7 +232,7 @@ def test_bad_states_and_impacts_are_refused_in_a_sentence(
     for file, text in zip(files, changed, strict=True):
         file.write_text(text)
     with pytest.raises(SystemExit, match="2"):
-        judge(monkeypatch, files[0], "--impacts", files[1], "--out", tmp_path / "out")
+        judge(monkeypatch, files[0], "--impacts", files[1], "--folder", tmp_path / "out")
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(sentence, line)
     assert not (tmp_path / "out").exists()
