@@ -9,7 +9,7 @@ checkpoints/ppo_N.zip    weights and optimiser after N steps
 best_model.zip           the best by the separate evaluation, and its mean return
 model.zip                the last
 evaluations.npz          the separate evaluations
-time.json                steps and seconds of the process that finished the run, by parts
+time.json                steps and seconds of the process that finished the run
 tensorboard/             curves
 lock                     locked by the process that uses the folder
 """

@@ -218,8 +218,6 @@ class TrainSettings(EnvSettings):
     """Seed of the network, the environments and the noise."""
     total_steps: int = 1_200_000
     """Steps to train for. A step is one decision of one environment."""
-    max_minutes: float | None = None
-    """Time limit [min]; None: no limit."""
     num_envs: int = 512
     """Environments stepped together."""
     rollout_steps: int = 12
@@ -316,8 +314,6 @@ class TrainSettings(EnvSettings):
         repeat_of(self.action_repeat, self.control_dt)
         for name, bounds in _REAL.items():
             check.real(name, getattr(self, name), **bounds)
-        if self.max_minutes is not None:
-            check.real("max_minutes", self.max_minutes, above=0.0)
         if not isinstance(self.hidden_units, list | tuple):
             raise TypeError(f"hidden_units must be a list of whole numbers, got {check.shown(self.hidden_units)}")
         for width in self.hidden_units:

@@ -26,8 +26,6 @@ class Arguments:
     """New folder for all that is written; None: runs/demo-<date>-<time>."""
     total_steps: int = TrainSettings.total_steps
     """Steps to train for, each a decision that lasts until the next impact."""
-    max_minutes: float | None = None
-    """Time limit of the training [min]; None: no limit."""
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
@@ -53,10 +51,9 @@ def main() -> None:
     from jackbox_env.tools.files import new_folder
 
     check.whole("episodes", arguments.episodes, at_least=2)
-    settings = TrainSettings(total_steps=arguments.total_steps, max_minutes=arguments.max_minutes, seed=arguments.seed)
+    settings = TrainSettings(total_steps=arguments.total_steps, seed=arguments.seed)
     folder = new_folder(arguments.folder, "demo", lambda made: describe(made, settings))
-    limit = "" if settings.max_minutes is None else f" (at most {settings.max_minutes:g} min)"
-    print(f"Training PPO for {settings.total_steps:,} decisions, one per bounce{limit}")
+    print(f"Training PPO for {settings.total_steps:,} decisions, one per bounce")
     train(settings, folder)
 
     print(f"Evaluating {arguments.episodes} episodes of each policy on fidelity exact, and on gym.make's balanced")

@@ -18,8 +18,6 @@ from jackbox_env.tools.files import check_new, check_new_file, new_file, new_fol
 with suppress(ImportError):  # main names what is missing
     import tyro
 
-MOST_FILMED = 256  # episodes at once: each is then at least 30 pixels wide
-
 if TYPE_CHECKING:
     from agents.policies.scripted import PolicyWithEnv
 
@@ -51,8 +49,6 @@ class Arguments:
     """New folder for the pages; None: runs/evaluate-<date>-<time>."""
     film: Path | None = None
     """Also film an episode of all policies side by side, in this new .mp4 or .gif file."""
-    film_episodes: int = 1
-    """Episodes of each policy in the film; several, e.g. 64, are shown at once as small pictures."""
     trust: bool = False
     (
         "Unpickle models that have no settings.json beside them, and run the code that settings.json or env.json "
@@ -72,9 +68,6 @@ class Arguments:
 def _check(arguments: Arguments) -> None:
     """Raise now what would fail after minutes of computing."""
     check.whole("episodes", arguments.episodes, at_least=1)
-    check.whole("film_episodes", arguments.film_episodes, at_least=1, at_most=MOST_FILMED)
-    if arguments.film_episodes > 1 and arguments.film is None:
-        raise ValueError("film_episodes goes with --film")
     check.whole("seed", arguments.seed, at_least=0, at_most=2**32 - 1)
     if not arguments.policy:
         raise ValueError("policy must name at least one policy, got none")
@@ -123,7 +116,7 @@ def main() -> None:
         from agents.evaluation.film import film_episode
 
         start = derived_seed("evaluation", arguments.seed)
-        film_episode(acts, env, arguments.film, start, arguments.film_episodes)
+        film_episode(acts, env, arguments.film, start)
     if arguments.json is not None:
         results = [{**row.as_json(), "keywords": acts[row.policy].named} for row in rows]
         record = {"env": {**env, **names}, "seed": arguments.seed, "versions": versions(), "results": results}

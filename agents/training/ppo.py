@@ -14,6 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from agents.files import first_line, locked, unpacked
 from agents.policies.network import WEIGHTS
@@ -28,8 +29,7 @@ from agents.training.checkpoints import (
     model_file,
 )
 from agents.training.models import derived_seed, make_ppo, make_vec_env
-from agents.training.timing import TimedEnvironments, TrainingTimer, formatted
-from jackbox_env.sb3 import Durations
+from jackbox_env.sb3 import Durations, JackInBoxVecEnv
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
 
 FRESH_EPISODES = 64  # that judge the trained model
@@ -38,15 +38,15 @@ FRESH_EPISODES = 64  # that judge the trained model
 PICTURED_SCALE = 0.01
 
 
-class Deadline(BaseCallback):
-    """Stop when the time is up."""
+class ScaledEnvironments(JackInBoxVecEnv):
+    """Environments whose rewards are multiplied by ``scale``."""
 
-    def __init__(self, minutes: float) -> None:
-        super().__init__()
-        self._end = time.monotonic() + 60.0 * minutes
+    scale = 1.0
 
-    def _on_step(self) -> bool:
-        return time.monotonic() < self._end
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step."""
+        observations, rewards, dones, infos = super().step_wait()
+        return observations, rewards if self.scale == 1.0 else self.scale * rewards, dones, infos
 
 
 def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
@@ -70,25 +70,24 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train it further, resume "
                 "it with more total steps"
             )
-        model, timer = _resumed(settings, folder)
+        model = _resumed(settings, folder)
         done = model.num_timesteps
         print(f"Continuing after {done:,} steps" if done else "Starting from the beginning")
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         checkpoint = Checkpoint(folder, settings.checkpoint_steps)
-        callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done), timer]
+        callbacks: list[BaseCallback] = [checkpoint, KeepBest(folder, settings, checkpoint, done)]
         if settings.action_repeat == "bounce":
             callbacks.append(Durations())
-        if settings.max_minutes is not None:
-            callbacks.append(Deadline(settings.max_minutes))
+        began, spent = time.perf_counter(), time.process_time()
         try:
             _learn(model, max(0, settings.total_steps - done), callbacks, progress)
         except KeyboardInterrupt:
             checkpoint.save()
             raise
-        record = timer.record()
-        write_json(folder / TIME, record)
+        steps, seconds, spent = model.num_timesteps - done, time.perf_counter() - began, time.process_time() - spent
+        write_json(folder / TIME, {"steps": steps, "seconds": seconds, "processor_seconds": spent})
         write_bytes(folder / MODEL, model_file(model))  # last: a run with this file is finished
-        print(formatted(record))
+        print(f"{steps:,} steps in {seconds:.0f} s, {steps / seconds:,.0f} per second")
         print(reached(folder, settings))
         return model
 
@@ -157,12 +156,12 @@ def trained_in(folder: Path, settings: TrainSettings, progress: bool = True) -> 
         train(settings, folder, progress)
 
 
-def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]:
-    """The model as of the newest checkpoint, or a new one, and its timer. Its environments get new starts."""
+def _resumed(settings: TrainSettings, folder: Path) -> PPO:
+    """The model as of the newest checkpoint, or a new one. Its environments get new starts."""
     torch.set_num_threads(settings.torch_threads)
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
-    environments = TimedEnvironments(settings.num_envs, **settings.env_settings)
+    environments = ScaledEnvironments(settings.num_envs, **settings.env_settings)
     if settings.pixels:
         environments.scale = PICTURED_SCALE
     model = make_ppo(settings, environments)
@@ -174,4 +173,4 @@ def _resumed(settings: TrainSettings, folder: Path) -> tuple[PPO, TrainingTimer]
             problem = f"{checkpoint_path(folder, done)} was made by other settings than its run's"
             raise ValueError(f"{problem}: {first_line(error)}") from error
         model.num_timesteps = done
-    return model, TrainingTimer(environments)
+    return model

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
@@ -50,9 +51,7 @@ class Arguments:
     """Run recipes."""
 
     names: tuple[str, ...]
-    """Names of recipes; none: all."""
-    environments: Path = Path("runs/recipes")
-    """Folder of the environments; an existing one is used again."""
+    """Names of recipes; none: all. Their environments are in runs/recipes, and are used again."""
 
 
 def python_for(recipe: Recipe, folder: Path) -> str:
@@ -75,16 +74,13 @@ def main() -> None:
     import tyro
 
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.PositionalRequiredArgs,))
-    names = arguments.names or tuple(RECIPES)
-    unknown = [name for name in names if name not in RECIPES]
-    if unknown:
-        raise ValueError(f"a recipe must be one of {', '.join(RECIPES)}, got {unknown[0]!r}")
+    names = [check.choice("a recipe", name, RECIPES) for name in arguments.names] or list(RECIPES)
     failed = []
     for name in names:
         recipe, began = RECIPES[name], time.monotonic()
         print(f"== {name}", flush=True)
         try:
-            python = python_for(recipe, arguments.environments.absolute() / name)
+            python = python_for(recipe, ROOT / "runs" / "recipes" / name)
             without = {
                 key: value
                 for key, value in os.environ.items()

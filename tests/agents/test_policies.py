@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,17 +129,3 @@ def test_a_film_shows_every_control_step_of_a_decision_and_stands_still_after_th
     assert ppo.all()
     assert not short[5:].any()
     assert 0.0 < earned["short"] < earned["zero"]
-
-
-def test_a_film_of_several_episodes_has_a_tile_for_each_and_their_mean_return(tmp_path: Path) -> None:
-    import imageio.v3 as imageio
-
-    acts = {"zero": find_policy("zero", EnvSettings())}
-    alone = [film(acts, {}, tmp_path / f"{seed}.gif", seed, 0.4, 64, progress=False)["zero"] for seed in (5, 6, 7)]
-    earned = film(acts, {}, tmp_path / "all.gif", 5, 0.4, 128, progress=False, count=3)["zero"]
-    assert earned == sum(alone) / 3.0
-    frames = imageio.imread(tmp_path / "all.gif").astype(int)
-    tiles = [np.delete(half, 0, 1) for row in (36, 100) for half in np.split(frames[-1, row : row + 63], 2, axis=1)]
-    drawn = [tile.std() > 10.0 for tile in tiles]
-    assert drawn == [True, True, True, False]  # two rows of two
-    assert all(np.abs(one - other).mean() > 1.0 for one, other in itertools.combinations(tiles[:3], 2))

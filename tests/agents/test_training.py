@@ -38,7 +38,8 @@ def test_a_run_folder_has_the_settings_command_and_versions_of_its_run(run: Path
     assert stored["results"].shape == (2, 4)
     spent = json.loads((run / "time.json").read_text())
     assert spent["steps"] == TINY.total_steps
-    assert sum(spent["parts"].values()) == pytest.approx(spent["seconds"])
+    assert spent["seconds"] > 0.0
+    assert spent["processor_seconds"] > 0.0
 
 
 def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path) -> None:
@@ -65,14 +66,6 @@ def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: 
     assert parameters is not None
     torch.testing.assert_close(parameters["policy"], last, rtol=0.0, atol=0.0)
     assert training.train(more, folder, progress=False).num_timesteps == TINY.total_steps + 512
-
-
-def test_a_deadline_ends_training(tmp_path: Path) -> None:
-    folder = new_folder(tmp_path / "run", "test")
-    hurried = replace(TINY, total_steps=10_000_000, max_minutes=0.02)
-    model = training.train(hurried, folder, progress=False)
-    assert 0 < model.num_timesteps < 10_000_000
-    assert (folder / "model.zip").exists()
 
 
 # -- loading -----------------------------------------------------------------------------------------------------------

@@ -350,7 +350,6 @@ TRAINING: Kinds = {
     **{name: real(0.5, above=0.0) for name in ("learning_rate", "clip_range")},
     **{name: real(0.5, at_least=0.0, at_most=1.0) for name in ("gamma", "gae_lambda")},
     **{name: real(0.5) for name in ("entropy_coefficient", "initial_log_std")},
-    "max_minutes": real(0.5, above=0.0, none=True),
     "hidden_units": instance((8, 4), "list", "ragged", zero=out((8, 0), "0"), floats=wrong((8.0,), "8.0")),
     "fidelity": SETTINGS["fidelity"],
 }

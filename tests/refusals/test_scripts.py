@@ -52,7 +52,6 @@ COMMANDS = [
     ),
     refused(evaluates("--folder", "pages"), "folder goes with --html, whose pages are written into it"),
     refused(evaluates("--film", "/proc/film.GIF"), "/proc cannot be used: No such file or directory"),
-    refused(evaluates("--film-episodes", "4"), "film_episodes goes with --film"),
     refused(evaluates("--json", "/proc/out.json"), "/proc cannot be used: No such file or directory"),
     refused(evaluates("--json", "no/out.json"), "no cannot be used: No such file or directory"),
     refused(
@@ -156,7 +155,7 @@ COMMANDS = [
     refused(sweeps("""--train {"epochs":[0]}"""), "epochs must be a whole number >= 1, got 0"),
     refused(
         sweeps("""--train {"action_repeat":[4]}"""),
-        "train accepts only 'total_steps', 'max_minutes', 'num_envs', 'rollout_steps', 'batch_size', "
+        "train accepts only 'total_steps', 'num_envs', 'rollout_steps', 'batch_size', "
         "'epochs', 'learning_rate', 'gamma', 'gae_lambda', 'clip_range', 'entropy_coefficient', "
         "'hidden_units', 'initial_log_std', 'checkpoint_steps', 'eval_steps', 'eval_episodes', got "
         "'action_repeat'",

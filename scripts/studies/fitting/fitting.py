@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 from scipy import stats
@@ -25,44 +24,21 @@ PEOPLE = (False, "", True), (True, "", True), *((False, wrong, False) for wrong 
 LENGTHS = "recording", "processor time", "memory", "width of the mass's interval", "converged and right", "left out"
 
 
-@dataclass(frozen=True)
-class Arguments(study.Arguments):
-    """Fit, and write the page."""
-
-    count: int = 900
-    """Recordings."""
-    again: int = 30
-    """How many of them are fitted by finite differences, too."""
-    labs: int = 300
-    """Recordings of small labs."""
-    wrong: int = 60
-    """How many of those are fitted with each wrong value, too."""
-    files: int = 40
-    """Files of a camera at each of two rates."""
-    people: int = 400
-    """Recordings of people, whose fits start far from the truth, and from it."""
-    others: int = 60
-    """How many of them are fitted with each wrong value, too."""
-    lengths: tuple[float, ...] = (4.0, 40.0, 400.0)
-    """Of long recordings [s]."""
-
-
-def trials(arguments: Arguments) -> study.Trials:
+def trials(arguments: study.Arguments) -> study.Trials:
     """All fits of the page, each a trial; the files at a rate are one."""
-    kinds = [(False, "", arguments.count), (True, "", arguments.again)]
-    kinds += [(False, lab, arguments.wrong if wrong else arguments.labs) for lab, wrong in LABS.items()]
+    kinds = [(False, "", 900), (True, "", 30), *((False, lab, 60 if wrong else 300) for lab, wrong in LABS.items())]
     fits: study.Trials = [
         {"part": "fits", "differences": differences, "lab": lab, "seed": seed}
         for differences, lab, count in kinds
         for seed in range(count)
     ]
-    files = [{"part": "files", "rate": rate, "count": arguments.files} for rate in (60.0, 30.0)]
+    files = [{"part": "files", "rate": rate, "count": 40} for rate in (60.0, 30.0)]
     people: study.Trials = [
         {"part": "people", "seed": seed, "verdict": True, "true_start": true_start, "wrong": wrong}
-        for true_start, wrong, count in PEOPLE
-        for seed in range(arguments.people if count else arguments.others)
+        for true_start, wrong, many in PEOPLE
+        for seed in range(400 if many else 60)
     ]
-    lengths = [{"part": "lengths", "seconds": seconds} for seconds in arguments.lengths]
+    lengths = [{"part": "lengths", "seconds": seconds} for seconds in (4.0, 40.0, 400.0)]
     return [*fits, *files, *people, *lengths, {"part": "printed"}]
 
 
@@ -166,8 +142,7 @@ STUDY = study.Study(
         "printed": camera.printed,
     },
     filled,
-    Arguments,
-    trials,
+    trials=trials,
     single=frozenset({"printed"}),
     alone=frozenset({"lengths"}),
     packages=("jackbox", "numpy", "scipy", "numba"),
