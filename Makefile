@@ -22,7 +22,7 @@ ROUNDED := $(addprefix tests/,agents batches commands environment measuring stud
 	test_first_day.py test_lesson.py test_package.py)
 # Those in which networks play and train, and derivatives.
 ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.py network.py planner.py \
-	saved_models.py training.py value.py) batches/test_torch.py environment/test_ilqr.py \
+	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
 .PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean

@@ -278,6 +278,8 @@ class TrainSettings(EnvSettings):
     @classmethod
     def of(cls, values: Any) -> Self:
         """As :meth:`EnvSettings.of`, but no setting may be missing."""
+        if isinstance(values, dict):
+            values = {name: value for name, value in values.items() if name != "max_minutes"}  # which old ones have
         missing = [part.name for part in fields(cls) if isinstance(values, dict) and part.name not in values]
         if missing:
             raise ValueError(

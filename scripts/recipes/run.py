@@ -28,6 +28,7 @@ def _script(name: str, *arguments: str) -> tuple[str, ...]:
     return (str(HERE / f"with_{name}.py"), *arguments)
 
 
+_ZOO = "-m rl_zoo3.train --algo ppo --env JackInBox-v0 --gym-packages jackbox_env --conf-file agents.training.zoo"
 # Ten steps of half the torque limit to one side and the other.
 _GAME = (
     '{"version":1,"start":[0,0,0,0,0,0,0,0,0,0,0,0],"shares":"AAAAAAAA4D8AAAAAAADgvw","counts":"BQAFAA",'
@@ -40,6 +41,8 @@ RECIPES = {
     "servo": Recipe(_script("servo", "4000")),
     "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),
     "pixels": Recipe(_script("pixels", "--steps", "512")),
+    "rl_zoo3": Recipe((*_ZOO.split(), "-n", "32768", "--eval-freq", "-1", "-f", "runs/recipes/zoo-logs"),
+                      ("rl_zoo3", "stable-baselines3", TORCH)),
     "minari": Recipe(_script("minari", "--game", _GAME), ("minari[create,hdf5]", "pillow", "tyro")),
     "jax": Recipe(_script("jax"), ("jax",)),
     "rllib": Recipe(_script("rllib", "--iterations", "4"), ("ray[rllib]==2.60.0", "gymnasium==1.2.2", TORCH)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,3 +128,7 @@ def test_values_after_the_time_limit_are_discounted_as_ppo_does() -> None:
         learnt.append(torch.cat([weight.flatten() for weight in model.policy.state_dict().values()]))
     torch.testing.assert_close(learnt[0], learnt[1], rtol=1e-5, atol=1e-6)
     assert (learnt[0] - learnt[2]).abs().max() > 1e-4
+
+
+def test_settings_with_a_setting_that_went_are_read() -> None:
+    assert TrainSettings.of({**asdict(TINY), "max_minutes": None}) == TINY
