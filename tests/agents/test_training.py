@@ -16,6 +16,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.runs import describe, read_settings
+from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.checkpoints import latest_checkpoint
 from agents.training.models import load_model, make_ppo, make_vec_env
