@@ -14,6 +14,7 @@ signature, when a function is first called with it.
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -47,10 +48,11 @@ def warn_once(text: str) -> None:
 
 
 @cache
-def _announce(purpose: str, time: str) -> None:
+def _announce(purpose: str, time: str, stored: bool) -> None:
     """Print to standard error that compiling for this purpose begins, once in this process."""
+    how_often = "once on this machine" if stored else "in each process anew, as no folder can be written"
     print(
-        f"jackbox compiles its exact contact model for {purpose}, once on this machine ({time})",
+        f"jackbox compiles its exact contact model for {purpose}, {how_often} ({time} or more)",
         file=sys.stderr, flush=True,
     )  # fmt: skip
 
@@ -101,7 +103,7 @@ class CodeCache(NullCache):
             except Exception as error:  # whatever it is, compiling anew repairs it
                 warn_once(f"compiled code kept in {path.parent} cannot be used ({error}), so it is compiled anew")
         if self._long is not None:
-            _announce(*self._long)
+            _announce(*self._long, os.access(self._folders[-1], os.W_OK))
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:

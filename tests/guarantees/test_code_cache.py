@@ -142,6 +142,17 @@ def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none
         assert turned() == 0
 
 
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize(("stored", "how_often"), [(True, "once on this machine"), (False, "in each process anew")])
+def test_once_is_promised_where_code_is_stored(
+    stored: bool, how_often: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(code_cache._LONG, "cos_sin", (f"{stored} turns", "1 second"))
+    monkeypatch.setattr(os, "access", lambda where, mode: stored)
+    fresh(cos_sin)(1.0)
+    assert f"for {stored} turns, {how_often}" in capsys.readouterr().err
+
+
 def test_code_of_old_sources_is_tidied_away(cache: Path) -> None:
     old = [cache / f"compiled-{number:02d}" for number in range(12)]
     for number, folder in enumerate(old):
