@@ -40,7 +40,7 @@ class Arguments:
     episodes: int = 128
     """Episodes of each policy."""
     seed: int = 0
-    """Seed of the starts, and of all else that is drawn."""
+    """Seed of the starts, which are not those of reset(seed=...), and of all else that is drawn."""
     json: Path | None = None
     """Also write the results, every return included, to this new file."""
     html: bool = False

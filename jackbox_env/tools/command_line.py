@@ -7,6 +7,7 @@ import functools
 import importlib
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -24,12 +25,15 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of standard outp
 def command_line(main: Callable[[], None]) -> Callable[[], None]:
     """Print an error as one sentence on standard error and exit with 2; Ctrl-C exits with 130.
 
+    SIGTERM ends the command by an exception, with 143, so that no partial file is left.
     If standard output is closed by its reader, as by ``| head``, exit quietly with 141.
     """
 
     @functools.wraps(main)
     def wrapped() -> None:
         _open_closed()
+        with suppress(ValueError):  # another thread than the main one cannot set handlers
+            signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
         try:
             main()
             sys.stdout.flush()  # a full disk fails here, not at Python's end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from jackbox_env.commands import check
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.tools.command_line import called, command_line
+from jackbox_env.tools.files import new_file
 from tests.script import jackbox
 
 
@@ -103,3 +105,15 @@ def test_every_end_of_a_command_has_its_status_and_at_most_one_sentence(
     assert ended.value.code == status
     assert said in stderr
     assert stderr.count("\n") == bool(said)
+
+
+def test_a_command_that_is_terminated_leaves_no_partial_file(tmp_path: Path) -> None:
+    @command_line
+    def main() -> None:
+        with new_file(tmp_path / "film.gif") as partial:
+            partial.write_bytes(b"GIF89a")
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(SystemExit, match="143"):
+        main()
+    assert list(tmp_path.iterdir()) == []

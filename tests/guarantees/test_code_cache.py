@@ -132,10 +132,7 @@ def test_a_folder_that_can_only_be_read_is_read(cache: Path, monkeypatch: pytest
     assert len(files(cache)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
 
 
-def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(
-    cache: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code_cache._announce("all", "5 s", cache.parent)
+def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(cache: Path) -> None:
     for unusable in (cache, compiler.PACKAGE, cache.parent / "home"):
         assert turned() == 0
         assert len(list(unusable.rglob("*.kept"))) == 1
@@ -143,10 +140,17 @@ def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none
         unusable.write_text("a file, not a folder")
     with pytest.warns(UserWarning, match=f"cannot be kept in {cache.parent}/home/.* compiles it anew"):
         assert turned() == 0
-    code_cache._announce("all", "5 s", cache.parent / "home" / "kept")
-    once, each = capsys.readouterr().err.splitlines()
-    assert once == "jackbox compiles its exact contact model for all, once on this machine (5 s)"
-    assert each.endswith("for all, in each process, as it can be kept nowhere (5 s)")
+
+
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize(("stored", "how_often"), [(True, "once on this machine"), (False, "in each process, as it")])
+def test_once_is_promised_where_code_is_stored(
+    stored: bool, how_often: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(code_cache._LONG, "cos_sin", (f"{stored} turns", "1 second"))
+    monkeypatch.setattr(os, "access", lambda where, mode: stored)
+    fresh(cos_sin)(1.0)
+    assert f"for {stored} turns, {how_often}" in capsys.readouterr().err
 
 
 # -- shipped with a wheel ---------------------------------------------------------------------------------------------
