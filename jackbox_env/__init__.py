@@ -14,10 +14,10 @@ from jackbox_env.model.states import State
 if TYPE_CHECKING:
     from jackbox_env.envs.single import JackInBoxEnv
     from jackbox_env.envs.vector import JackInBoxVectorEnv
+    from jackbox_env.fits.fitting import fit
+    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.result import Fit
     from jackbox_env.measure.choosing import cheapest
-    from jackbox_env.measure.fitting import fit
-    from jackbox_env.measure.recordings import Recording
-    from jackbox_env.measure.result import Fit
     from jackbox_env.model.action import Action
     from jackbox_env.model.observation import Observation
     from jackbox_env.model.pixels import Pixels
@@ -37,7 +37,7 @@ FIDELITIES: Mapping[str, Setting]
 _LAZY = {
     "Action": "model.action",
     "FIDELITIES": "simulators.fidelity",
-    "Fit": "measure.result",
+    "Fit": "fits.result",
     "JackInBoxEnv": "envs.single",
     "JackInBoxVectorEnv": "envs.vector",
     "Impact": "simulators",
@@ -49,18 +49,18 @@ _LAZY = {
     "Simulator": "simulators",
     "StepResult": "simulators",
     "make_simulator": "simulators",
-    "Recording": "measure.recordings",
+    "Recording": "fits.recordings",
     "Rollout": "planning.rollouts",
     "Task": "model.tasks",
     "TaskError": "model.tasks",
     "cheapest": "measure.choosing",
-    "fit": "measure.fitting",
+    "fit": "fits.fitting",
     "ilqr": "planning.ilqr",
     "linearize": "planning.linearization",
     "rollout": "planning.rollouts",
     "simulate": "recording.simulation",
 }
-_FACES = ("action", "mechanics", "observation", "sb3", "scene", "states", "tasks", "torch")  # modules of public names
+_FACES = ("mechanics", "sb3", "torch")  # modules of public names
 __all__ = [
     "FIDELITIES",
     "Action",

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jackbox_env.fits.text import read_rows
 from jackbox_env.measure.accuracy import Case, pose_errors, prefix_errors
-from jackbox_env.measure.text import read_rows
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.model.states import (

@@ -70,7 +70,7 @@ def compile_into(cache: Path, package: Path) -> None:
     Raises:
         SystemExit: code is missing.
     """
-    from jackbox_env.exact.code_cache import SHIPPED_FOR
+    from jackbox_env.jit.code_cache import SHIPPED_FOR
 
     target = {"NUMBA_CPU_NAME": SHIPPED_FOR, "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(cache)}
     command = [sys.executable, "-c", "from scripts.wheel import call_all; call_all()"]

@@ -58,7 +58,7 @@ def judged() -> str:
     from gymnasium.spaces import Box
 
     from jackbox_env import Action, Observation, Scene, Task
-    from jackbox_env.envs.scoring import CompiledFunctions, Nouns
+    from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns
 
     nouns = Nouns(
         Task(
@@ -79,7 +79,7 @@ if __name__ == "__main__":
         warnings.simplefilter("always")
         try:
             print(judged())
-            from jackbox_env.exact import pipelines
+            from jackbox_env.jit import pipelines
 
             print(len(pipelines.LACKING))
         except RuntimeError as error:

@@ -21,16 +21,17 @@ ROOT = Path(__file__).parents[1]
 ORDER = """
     tools
     model
-    action mechanics observation scene states tasks
+    mechanics
+    jit
     exact
     simulators
     render
-    envs
-    recording
-    sb3
     planning
     torch
     measure
+    envs
+    recording fits
+    sb3
     commands
     __main__
     agents.files agents.user_code agents.settings agents.runs agents.runners

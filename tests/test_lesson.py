@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jackbox_env import Impact, make_simulator
+from jackbox_env.commands.game import Game, read_game
 from jackbox_env.mechanics import gaps
-from jackbox_env.recording.game import Game, read_game
 from scripts.studies.baselines import threshold
 from tests.states import Array
 

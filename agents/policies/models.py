@@ -93,7 +93,7 @@ def load(file: Path, algorithm: str | None) -> Any:
     Raises:
         ValueError: the file is damaged, or of something else; or the algorithm is not of Stable-Baselines3.
     """
-    from jackbox_env.envs.saved_models import PACKAGES
+    from jackbox_env.sb3.saved_models import PACKAGES
 
     with as_value_error(f"{file} is no model of Stable-Baselines3"):
         if algorithm is None:
@@ -116,7 +116,7 @@ def stored_beside(file: Path) -> dict[str, Any] | None:
     Raises:
         ValueError: env.json is damaged.
     """
-    from jackbox_env.envs.saved_models import ENV, read_stored
+    from jackbox_env.sb3.saved_models import ENV, read_stored
 
     entries = read_stored(file.parent / ENV)
     if len(entries) == 1 and not (file.parent / next(iter(entries))).exists():
@@ -226,7 +226,7 @@ def _statistics(path: Path) -> list[dict[str, Any]]:
     """The statistics in a file of ``VecNormalize``, which is unpickled; none if it normalizes rewards alone."""
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from jackbox_env.envs.saved_models import statistics_of
+    from jackbox_env.sb3.saved_models import statistics_of
 
     with as_value_error(f"{path} has no statistics of VecNormalize"):
         normalize = pickle.loads(path.read_bytes())

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from agents.policies.network import Layer, check_layers, outputs, read_with_layers
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
-from jackbox_env.envs.scoring import observed
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.states import Array
 from jackbox_env.planning.icem import Search
+from jackbox_env.simulators.agent_functions import observed
 
 VALUE = "value.json"
 INPUTS = len(OBSERVATIONS["landing"].names)

@@ -31,9 +31,9 @@ from agents.runs import SETTINGS
 from agents.settings import TrainSettings
 from agents.training.fitting import EPISODE, REPEAT, SCENE, advanced, layers_of, mean_return, mirrored, starts
 from jackbox_env import Task
-from jackbox_env.envs.scoring import observed
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import TASKS
+from jackbox_env.simulators.agent_functions import observed
 from jackbox_env.tools.command_line import command_line
 
 WIDTHS, CRITIC, FIRST_SCALE = (256, 256), (128, 128), 3.0  # layers; factor of the first one's weights

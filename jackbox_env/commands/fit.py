@@ -17,13 +17,13 @@ import numpy as np
 
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, add_torque_column, chosen_scene, parser_of
-from jackbox_env.measure.torques import TORQUE_KINDS
+from jackbox_env.fits.torques import TORQUE_KINDS
 from jackbox_env.model.states import RATES, X_JACK
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
-    from jackbox_env.measure.recordings import Recording
+    from jackbox_env.fits.recordings import Recording
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
@@ -110,8 +110,8 @@ def read_recording(
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
     """
-    from jackbox_env.measure.recordings import Recording
-    from jackbox_env.measure.tables import filled, in_si_units, read_table
+    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.tables import filled, in_si_units, read_table
 
     heard = None
     if impacts is not None:
@@ -147,7 +147,7 @@ def _stored_scene(paths: Sequence[Path]) -> dict[str, Any]:
         ValueError: the recordings have different ones, or one is damaged.
     """
     from jackbox_env import Scene
-    from jackbox_env.measure.tables import read_arrays, stored_scene
+    from jackbox_env.fits.tables import read_arrays, stored_scene
 
     files = dict.fromkeys(path if path.suffix == ".npz" else path.with_name("scene.json") for path in paths)
     stored = list[dict[str, Any]]()
@@ -217,7 +217,7 @@ def main() -> None:
         print(f"The scene's drive turns the box{most}; --torque none if nothing does.", file=sys.stderr)
     steps = sum(len(np.asarray(one.states)) - 1 for one in recordings)
     print(f"Fitting {', '.join(arguments.fields)} to {steps} steps ...", file=sys.stderr, flush=True)
-    from jackbox_env.measure.fitting import fit  # takes a while
+    from jackbox_env.fits.fitting import fit  # takes a while
 
     began = time.perf_counter()
     result = fit(recordings, arguments.fields, start, noise=noise, progress=True)

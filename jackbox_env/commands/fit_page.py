@@ -19,8 +19,8 @@ from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jackbox_env.measure.recordings import Recording
-    from jackbox_env.measure.result import Fit
+    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.result import Fit
     from jackbox_env.model.scene import Scene
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
@@ -178,7 +178,7 @@ def _residuals(result: Fit, recording: Recording, motion: Array, impacts: Sequen
     from matplotlib.figure import Figure
 
     from jackbox_env.commands.plots import BOX, GREY, JACK
-    from jackbox_env.measure.shooting import nearest_pairs
+    from jackbox_env.fits.shooting import nearest_pairs
 
     figure = Figure(figsize=(9.0, 2.4), layout="constrained")
     axes = figure.subplots()

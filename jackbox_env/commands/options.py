@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, get_args, get_type_hints
 
-from jackbox_env.measure.torques import TORQUE_KINDS
+from jackbox_env.fits.torques import TORQUE_KINDS
 from jackbox_env.simulators.fidelity import Setting
 from jackbox_env.tools import checks as check
 

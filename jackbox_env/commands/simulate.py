@@ -89,9 +89,9 @@ def _torques(path: Path, dt: float, kind: str = "held") -> Array:
     Raises:
         ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
     """
-    from jackbox_env.measure.columns import rounding_of
-    from jackbox_env.measure.tables import filled, in_si_units, read_table
-    from jackbox_env.measure.torques import torques_between
+    from jackbox_env.fits.columns import rounding_of
+    from jackbox_env.fits.tables import filled, in_si_units, read_table
+    from jackbox_env.fits.torques import torques_between
 
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")

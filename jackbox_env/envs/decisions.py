@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from jackbox_env.envs.scoring import Functions
 from jackbox_env.model.action import clipped_share
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import checked_reward
 from jackbox_env.simulators import Impact, Simulator
+from jackbox_env.simulators.agent_functions import Functions
 
 _new: Callable[..., ControlStep] = tuple.__new__
 

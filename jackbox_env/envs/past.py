@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.envs.batches.threads import Halt, Threads
-from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.threads import Halt, Threads
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.states import RATES, Array, Indices
 from jackbox_env.render.raster import GREYS, draw, view_of

@@ -17,11 +17,10 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.batches.threads import Threads
 from jackbox_env.envs.decisions import ControlStep, decide
 from jackbox_env.envs.past import Past
-from jackbox_env.envs.scoring import Functions, Nouns, make_functions, tried
 from jackbox_env.envs.settings import Settings
+from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
 from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
 from jackbox_env.model.observation import Observation, seen_of
@@ -30,6 +29,7 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators.agent_functions import Functions, Nouns, make_functions, tried
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
 

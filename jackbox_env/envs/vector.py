@@ -1,6 +1,6 @@
 """The vector environment: it sequences a batch of environments, their episodes and restarts.
 
-The batch (:mod:`jackbox_env.envs.batches`) steps the states; this file checks arguments and decides which episodes
+The batch (:mod:`jackbox_env.envs.batch`) steps the states; this file checks arguments and decides which episodes
 restart.
 """
 
@@ -18,10 +18,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.batches.arguments import Arguments
-from jackbox_env.envs.batches.base import Limits
-from jackbox_env.envs.batches.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
-from jackbox_env.envs.batches.resets import ResetPlan, as_autoreset_mode, plan_of
+from jackbox_env.envs.arguments import Arguments
+from jackbox_env.envs.batch import Limits
+from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
+from jackbox_env.envs.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats
@@ -37,8 +37,8 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.one_thread import ThreadNote, by_one_thread
 
 if TYPE_CHECKING:
-    from jackbox_env.envs.batches.exact import ExactBatch
-    from jackbox_env.envs.batches.single import SingleBatch
+    from jackbox_env.envs.compiled_batch import ExactBatch
+    from jackbox_env.envs.one_by_one import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
 _MOST_STEPS = 10**15  # float64 counts them all
@@ -171,14 +171,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._batch: ExactBatch | SingleBatch
         if single.contact == "exact" and render_mode is None:
-            from jackbox_env.envs.batches.exact import ExactBatch
+            from jackbox_env.envs.compiled_batch import ExactBatch
 
             self._batch = ExactBatch(
                 scenes, num_envs, single.nouns, single.control_dt, single.repeat, limits, self._with_infos,
                 num_threads, drawn,
             )  # fmt: skip
         else:
-            from jackbox_env.envs.batches.single import SingleBatch
+            from jackbox_env.envs.one_by_one import SingleBatch
 
             self._batch = SingleBatch(
                 scenes, num_envs, limits, self._with_infos, drawn, render_mode=render_mode, **settings

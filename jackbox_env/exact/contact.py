@@ -19,9 +19,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from jackbox_env.exact.compiler import called_later, inlined, is_compiled
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.workspace import AFTER, BEFORE, HELD_SO_FAR, JUMPS, Status, Workspace, new_workspaces
+from jackbox_env.jit.compiler import called_later, inlined, is_compiled
 from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array

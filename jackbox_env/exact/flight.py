@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
 
-from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, cos_sin, foot_gap, towards, view_of
 from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, HeldFeet, Workspace
+from jackbox_env.jit.compiler import inlined
 from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from types import FunctionType
 
-from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.contact import bounce_together, together_at
 from jackbox_env.exact.rest import rest_at, settle_and_advance
 from jackbox_env.exact.workspace import Call, Status, Workspaces
+from jackbox_env.jit.compiler import address_of, compiled
 
 AGAIN = Status.FULL, Status.UNCOMPILED  # ends of a call that goes on with :func:`repaired`
 

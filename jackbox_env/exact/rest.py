@@ -31,7 +31,6 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.exact.compiler import called_later, is_compiled
 from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
 from jackbox_env.exact.contact import ContactTolerances, deepest, kick, record_impact, resolve
 from jackbox_env.exact.flight import (
@@ -63,6 +62,7 @@ from jackbox_env.exact.search import (
     why_undecided,
 )
 from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace, new_log, new_workspaces
+from jackbox_env.jit.compiler import called_later, is_compiled
 from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (

@@ -1,6 +1,6 @@
 """Between the steps of a batch: draws scenes and starts; and checks the starts of rollouts.
 
-:mod:`jackbox_env.envs.batches.exact` calls it when episodes begin. Scenes come in rows of numbers, one for all
+:mod:`jackbox_env.envs.compiled_batch` calls it when episodes begin. Scenes come in rows of numbers, one for all
 environments or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill
 2014, "PCG: A family of simple fast space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares
 draws with numpy's own generator.

@@ -2,7 +2,7 @@
 
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
 or :func:`observe_rows` after the last one. Single environments call :func:`judge` and :func:`act_one`. All are called
-by their address (:mod:`jackbox_env.exact.compiler`): they are compiled for each task, observation and action with its
+by their address (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with its
 functions in place of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run``
 and ``judge`` are compiled once. For a user's observation :func:`observe_values` replaces :func:`observe`. The default
 observation has a block function of its own, :func:`observe_block`.
@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.compiler import called_at, numbers_in, packed, unpacked_as
 from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import (
     APPLIED,
@@ -31,6 +30,7 @@ from jackbox_env.exact.workspace import (
     arguments_at,
     make_numbers,
 )
+from jackbox_env.jit.compiler import called_at, numbers_in, packed, unpacked_as
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers, total

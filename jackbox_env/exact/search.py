@@ -26,11 +26,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.contact import deepest, widened
 from jackbox_env.exact.flight import Flight, Piece, gap_at, view_at
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, foot_gap, towards, view_of
 from jackbox_env.exact.workspace import Status, Workspace
+from jackbox_env.jit.compiler import inlined
 from jackbox_env.model.scene import SceneNumbers
 
 _SLACK = 1.0 + 1e-12  # for the rounding of bounds

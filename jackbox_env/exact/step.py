@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.compiler import inlined
 from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
@@ -47,6 +46,7 @@ from jackbox_env.exact.search import (
     why_undecided,
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
+from jackbox_env.jit.compiler import inlined
 from jackbox_env.model.scene import SceneNumbers, chirp_turns
 from jackbox_env.model.states import (
     LARGEST,

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.compiler import PACKED, compiled, packed, unpacked_as
+from jackbox_env.jit.compiler import PACKED, compiled, packed, unpacked_as
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags, Floats
 

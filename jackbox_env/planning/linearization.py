@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.batches.threads import Halt, Threads, thread_count
 from jackbox_env.exact import derivatives, tangents
-from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact.threads import Halt, Threads, thread_count
 from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags
 from jackbox_env.planning.rollouts import FEWEST_PER_THREAD, OneOrMore, RolloutOptions, Tape, run_rollouts, sequences

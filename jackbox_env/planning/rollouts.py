@@ -14,12 +14,10 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.envs.scoring import bad_reward, compiled_for
-from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import outside, spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
+from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import (
     NOTHING,
     SCENE_PARAMS,
@@ -35,10 +33,12 @@ from jackbox_env.exact.workspace import (
     new_log,
     new_memory,
 )
+from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
 from jackbox_env.model.tasks import Task, task_of
+from jackbox_env.simulators.agent_functions import bad_reward, compiled_for
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import (
     NO_PIECES,

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.late import with_all
 from jackbox_env.exact.motion import Moments, coast, fly
 from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Counts, Flags
 from jackbox_env.simulators.exact import NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for

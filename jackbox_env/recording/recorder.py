@@ -10,10 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from jackbox_env.envs.batches.threads import Halt, run_blocks
-from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.motion import leave_frames
 from jackbox_env.exact.run import PATIENCE, run
+from jackbox_env.exact.threads import Halt, run_blocks
 from jackbox_env.exact.workspace import (
     AFTER,
     BEFORE,
@@ -31,6 +30,7 @@ from jackbox_env.exact.workspace import (
     Scenes,
     new_workspaces,
 )  # fmt: skip
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.recording.events import Event

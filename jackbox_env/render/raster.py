@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.geometry import cos_sin, quarter
 from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import Array, Indices
 

@@ -38,7 +38,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
@@ -59,6 +58,7 @@ from jackbox_env.exact.workspace import (
     new_memory,
     new_workspaces,
 )
+from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step

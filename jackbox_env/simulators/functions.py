@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.flight import DEGREE, POINTS, TABLE_WIDTH, interpolate
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array
 from jackbox_env.tools import checks as check

@@ -17,7 +17,7 @@ with tempfile.TemporaryDirectory() as folder:
     import numpy as np
 
     import jackbox_env  # noqa: F401  # registers JackInBox-v0
-    from jackbox_env.recording.game import read_game
+    from jackbox_env.commands.game import read_game
 
     env = minari.DataCollector(gym.make("JackInBox-v0", fidelity="exact"), record_infos=True)
     for seed in range(arguments.episodes):

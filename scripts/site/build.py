@@ -22,15 +22,15 @@ import numpy as np
 
 import jackbox_env
 from jackbox_env import Scene
+from jackbox_env.commands.game import FARTHEST, LONGEST, MOST_SECONDS, VERSION
 from jackbox_env.commands.play import PAGE
-from jackbox_env.exact.compiler import cache_folders
 from jackbox_env.exact.restart import seeded
 from jackbox_env.exact.workspace import new_workspaces
+from jackbox_env.jit.compiler import cache_folders
 from jackbox_env.model.action import ACTIONS, repeat_of
 from jackbox_env.model.scene import BOUNDS, SceneNumbers
 from jackbox_env.model.states import START_TOLERANCE, STATE_NAMES
 from jackbox_env.model.tasks import TASKS
-from jackbox_env.recording.game import FARTHEST, LONGEST, MOST_SECONDS, VERSION
 from jackbox_env.recording.page import assembled, packed
 from jackbox_env.tools.command_line import command_line
 from jackbox_env.tools.files import write_bytes, write_text

@@ -135,7 +135,7 @@ function closeStep() {
   COUNT = rows.length;
 }
 
-// -- its text: JSON, described in jackbox_env/recording/game.py --------------------------------------------------------
+// -- its text: JSON, described in jackbox_env/commands/game.py --------------------------------------------------------
 
 function packed(array) {
   const letters = Array.from(new Uint8Array(array.buffer), (byte) => String.fromCharCode(byte));

@@ -17,7 +17,7 @@ from numba.core import codegen, cpu
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
-from jackbox_env.exact.compiler import intermediate_code
+from jackbox_env.jit.compiler import intermediate_code
 
 TRIPLE = "wasm32-unknown-unknown"
 

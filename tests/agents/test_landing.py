@@ -21,10 +21,10 @@ from agents.policies.one_bounce import (
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import Scene, make_simulator
-from jackbox_env.envs.scoring import observed
 from jackbox_env.model.landing import LONGEST
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
+from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for
 
 FREE = Scene(drive=None)

@@ -14,8 +14,8 @@ from agents.policies.registry import find_policy
 from agents.policies.value import Value
 from agents.settings import EnvSettings
 from jackbox_env import Drive, Scene
-from jackbox_env.envs.scoring import observed
 from jackbox_env.model.observation import observe, state_of
+from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 16}

@@ -18,7 +18,7 @@ from agents.runners import in_turn
 from agents.sweep import TABLE, Code, carry_out, code_named, grid, new_sweep, run_trial
 from agents.sweep_ray import runner_for
 from agents.user_code import texts_of
-from jackbox_env.exact import compiler
+from jackbox_env.jit import compiler
 from tests.agents.small_run import TINY
 from tests.agents.test_sweep import MINE, carried_out
 

@@ -14,8 +14,8 @@ from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.envs.scoring import observed
 from jackbox_env.planning.icem import Search
+from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for, states_in
 
 SMALL: dict[str, Any] = {"repeat": 5, "samples": 24, "elites": 4, "iterations": 2, "knots": 10}

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import pytest
 
 from jackbox_env import Scene, make_simulator
-from jackbox_env.recording.game import read_game, write_game
+from jackbox_env.commands.game import read_game, write_game
 from scripts.site.build import ensure_page
 from tests.browser import Opened
 from tests.script import jackbox

@@ -21,11 +21,10 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackLostError, Scene, make_simulator
-from jackbox_env.commands import play
+from jackbox_env.commands import game, play
+from jackbox_env.commands.game import read_game, replay_game, write_game
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
-from jackbox_env.recording import game
-from jackbox_env.recording.game import read_game, replay_game, write_game
 from jackbox_env.simulators.exact import ExactSimulator
 from tests.script import jackbox
 

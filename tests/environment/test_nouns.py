@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jackbox_env import Action, Drive, JackInBoxEnv, Observation, Scene
-from jackbox_env.envs.scoring import observed
 from jackbox_env.model.action import Repeats
 from jackbox_env.model.observation import observation_of, observe
+from jackbox_env.simulators.agent_functions import observed
 from tests.batches.alike import Alike
 from tests.batches.drawn import SEEN
 from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_same

@@ -14,10 +14,11 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 
-from jackbox_env.exact import compiler, run
-from jackbox_env.exact.compiler import compiled
+from jackbox_env.exact import run
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
 from jackbox_env.exact.restart import fresh, packed, seeded, uniform
+from jackbox_env.jit import compiler
+from jackbox_env.jit.compiler import compiled
 
 
 def test_packed_arguments_have_room() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from jackbox_env.exact import pipelines
+from jackbox_env.jit import pipelines
 from tests.renamed import judged
 
 ROOT = Path(__file__).parents[2]

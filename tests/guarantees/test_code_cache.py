@@ -18,8 +18,8 @@ import pytest
 from numba.core.codegen import JITCPUCodegen
 
 import jackbox_env
-from jackbox_env.exact import code_cache, compiler
 from jackbox_env.exact.geometry import cos_sin, cos_sin_within, quarter
+from jackbox_env.jit import code_cache, compiler
 from tests.test_architecture import _graph, _sources
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
@@ -55,7 +55,7 @@ def test_a_later_process_loads_the_whole_exact_model() -> None:
     jackbox_env.make_simulator(contact="exact").step(0.02, 1.0)
     code = (
         "import jackbox_env; jackbox_env.make_simulator(contact='exact').step(0.02, 1.0)\n"
-        "from jackbox_env.exact.compiler import compiled; from jackbox_env.exact.run import run\n"
+        "from jackbox_env.jit.compiler import compiled; from jackbox_env.exact.run import run\n"
         "stats = compiled(run).stats; print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -20,9 +20,9 @@ import pytest
 
 from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.envs.vector import JackInBoxVectorEnv
-from jackbox_env.exact import compiler as _compiled
 from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
+from jackbox_env.jit import compiler as _compiled
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 

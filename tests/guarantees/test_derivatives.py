@@ -10,7 +10,7 @@ import pytest
 
 from jackbox_env import Linearization, Scene, linearize, rollout
 from jackbox_env.exact import derivatives, tangents
-from jackbox_env.exact.compiler import compiled, compiled_with
+from jackbox_env.jit.compiler import compiled, compiled_with
 from tests.batches.several import assert_same
 from tests.fingerprints import DRIVES
 from tests.simulators.exact_runs import simulator

@@ -22,12 +22,13 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene, make_simulator, simulators
+from jackbox_env.envs import compiled_batch as exact
 from jackbox_env.envs import vector
-from jackbox_env.envs.batches import exact
-from jackbox_env.envs.batches import threads as batch_threads
-from jackbox_env.exact import compiler, run, workspace
+from jackbox_env.exact import run, workspace
+from jackbox_env.exact import threads as batch_threads
 from jackbox_env.exact.geometry import cos_sin
 from jackbox_env.exact.workspace import Status
+from jackbox_env.jit import compiler
 from jackbox_env.simulators import CONTACT_MODELS, Simulator, contacts
 from tests.guarantees import interrupting_compiler
 from tests.states import WEIGHTLESS, lying

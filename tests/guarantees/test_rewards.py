@@ -20,13 +20,14 @@ from gymnasium.vector import SyncVectorEnv
 
 import jackbox_env
 from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, Task, rollout
-from jackbox_env.envs import scoring
-from jackbox_env.envs.batches.threads import Threads
-from jackbox_env.exact import compiler, score
+from jackbox_env.exact import score
+from jackbox_env.exact.threads import Threads
+from jackbox_env.jit import compiler
 from jackbox_env.model.scene import total
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
+from jackbox_env.simulators import agent_functions as scoring
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]

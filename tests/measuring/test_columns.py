@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, Recording, Scene
-from jackbox_env.measure.tables import UNITS
+from jackbox_env.fits.tables import UNITS
 
 STILL = Scene(drive=None)
 

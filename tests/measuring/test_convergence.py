@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jackbox_env import Recording, Scene, fit, rollout
-from jackbox_env.measure import fitting, outcome, search
-from jackbox_env.measure.chain import Rows, minimise
-from jackbox_env.measure.flights import flights_of
-from jackbox_env.measure.shooting import Parameters, Shooting, Window
+from jackbox_env.fits import fitting, outcome, search
+from jackbox_env.fits.first_guess import flights_of
+from jackbox_env.fits.least_squares import Rows, minimise
+from jackbox_env.fits.shooting import Parameters, Shooting, Window
 from tests.states import Array
 
 FIELDS = ("jack_mass", "jack_inertia", "restitution")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from jackbox_env import Fit, Recording, Scene, fit, make_simulator, rollout
-from jackbox_env.measure.chain import Chain, Rows
-from jackbox_env.measure.residuals import autocorrelations, leverage
-from jackbox_env.measure.shooting import Parameters, Shooting, Window, units
+from jackbox_env.fits.least_squares import Chain, Rows
+from jackbox_env.fits.residuals import autocorrelations, leverage
+from jackbox_env.fits.shooting import Parameters, Shooting, Window, units
 from jackbox_env.model.tasks import sample_start
 from tests.states import Array
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Recording, Scene
-from jackbox_env.measure.tables import read_table
+from jackbox_env.fits.tables import read_table
 
 TIMES = 0.02 * np.arange(5)
 ARRAYS = {"time": TIMES, "state": np.ones((5, 12)), "torque": np.arange(4.0), "impact_time": TIMES[:2]}

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jackbox_env import JackLostError
-from jackbox_env.recording.game import read_game, write_game
+from jackbox_env.commands.game import read_game, write_game
 from tests.commands.test_replay import GAME, START, encoded, held, text
 from tests.refusals.sentences import Refusal, assert_refused, rows
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env import Chirp, JackLostError, Recording, cheapest, fit, ilqr, linearize, simulate
-from jackbox_env.measure.tables import read_arrays, read_table
+from jackbox_env.fits.tables import read_arrays, read_table
 from tests.measuring.test_fitting import START as LIGHT
 from tests.measuring.test_fitting import recorded as noisy
 from tests.measuring.test_tables import DAMAGED

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, rollout
-from jackbox_env.measure import shooting
-from jackbox_env.measure.shooting import units
+from jackbox_env.fits import shooting
+from jackbox_env.fits.shooting import units
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,

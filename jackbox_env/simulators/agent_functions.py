@@ -36,7 +36,7 @@ from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
 if TYPE_CHECKING:
-    from jackbox_env.exact.compiler import UsersFunctions
+    from jackbox_env.jit.compiler import UsersFunctions
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
 Judged = tuple[Seen, Sequence[float], bool]
@@ -250,8 +250,8 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
 
 def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
     """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
-    from jackbox_env.exact.compiler import PACKED, address_of, compiled
     from jackbox_env.exact.score import act_one, judge, observe_one, pack_judged, row_observer, row_scorer, score_one
+    from jackbox_env.jit.compiler import PACKED, address_of, compiled
 
     observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
     act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
@@ -271,7 +271,7 @@ def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any
     Raises:
         TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
-    from jackbox_env.exact.compiler import UsersFunctions, compiled
+    from jackbox_env.jit.compiler import UsersFunctions, compiled
 
     substitutes = _SUBSTITUTES[type(owner)]
     if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
@@ -340,7 +340,7 @@ def _check_returned(
     Raises:
         TypeError: it returns something else, or cannot be compiled.
     """
-    from jackbox_env.exact.compiler import is_disabled
+    from jackbox_env.jit.compiler import is_disabled
 
     if is_disabled():
         return

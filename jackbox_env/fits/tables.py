@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.measure.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
+from jackbox_env.fits.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 

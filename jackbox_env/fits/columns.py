@@ -1,6 +1,6 @@
 """Recordings from columns as cameras and loggers write them: wrapped angles, dropped frames, sizes that are no metres.
 
-``Recording.from_frame`` and ``jackbox fit`` use it. :mod:`jackbox_env.measure.tables` reads the columns.
+``Recording.from_frame`` and ``jackbox fit`` use it. :mod:`jackbox_env.fits.tables` reads the columns.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.measure.tables import UNITS, Table, filled, in_si_units
-from jackbox_env.measure.torques import without_gaps
+from jackbox_env.fits.tables import UNITS, Table, filled, in_si_units
+from jackbox_env.fits.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, THETA_JACK, Array
 from jackbox_env.tools import checks as check

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.measure.chain import Indices
-from jackbox_env.measure.recordings import Recording
+from jackbox_env.fits.least_squares import Indices
+from jackbox_env.fits.recordings import Recording
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import (

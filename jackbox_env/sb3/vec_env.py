@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import OrderEnforcing, TimeLimit
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.batches.infos import NoInfos
+from jackbox_env.envs.infos import NoInfos
 from jackbox_env.envs.settings import Settings
 from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.model.scene import Scene

@@ -1,7 +1,7 @@
 """The search of a fit: least squares over windows of recordings, the fields' numbers and the noise.
 
-:mod:`jackbox_env.measure.cutting` finds the windows, :mod:`jackbox_env.measure.fitting` tightens their links, and
-:mod:`jackbox_env.measure.outcome` derives intervals and problems from what a search ends with.
+:mod:`jackbox_env.fits.windows` finds the windows, :mod:`jackbox_env.fits.fitting` tightens their links, and
+:mod:`jackbox_env.fits.outcome` derives intervals and problems from what a search ends with.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.measure.chain import Chain, Indices, Rows, minimise
-from jackbox_env.measure.flights import flights_of, lost_frames_of, spikes_of
-from jackbox_env.measure.recordings import Recording, rough_noise
-from jackbox_env.measure.residuals import highest_mean_square, leverage, misfitting
-from jackbox_env.measure.shooting import MOST_IMPACTS, Parameters, Shooting, Window, followed, motion, motions, units
+from jackbox_env.fits.first_guess import flights_of, lost_frames_of, spikes_of
+from jackbox_env.fits.least_squares import Chain, Indices, Rows, minimise
+from jackbox_env.fits.recordings import Recording, rough_noise
+from jackbox_env.fits.residuals import highest_mean_square, leverage, misfitting
+from jackbox_env.fits.shooting import MOST_IMPACTS, Parameters, Shooting, Window, followed, motion, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
@@ -89,7 +89,7 @@ class Search:
         return ended
 
     def drop(self, indices: Sequence[int]) -> None:
-        """Leave windows out, for :func:`jackbox_env.measure.cutting.resume`."""
+        """Leave windows out, for :func:`jackbox_env.fits.windows.resume`."""
         unlink(self.windows, indices)
         self.left_out += [self.windows[index] for index in indices]
         self.windows = [window for index, window in enumerate(self.windows) if index not in indices]

@@ -1,7 +1,8 @@
 """Statistics of a fit's residuals: degrees of freedom, whiteness, identifiability, held-out errors.
 
-Pure functions of :class:`jackbox_env.measure.chain.Rows` and :class:`jackbox_env.measure.chain.Chain`: residuals r and
-their Jacobian J by the scene's fields and the windows' starts. :mod:`jackbox_env.measure.outcome` uses them.
+Pure functions of :class:`jackbox_env.fits.least_squares.Rows` and :class:`jackbox_env.fits.least_squares.Chain`:
+residuals r and their Jacobian J by the scene's fields and the windows' starts.
+:mod:`jackbox_env.fits.outcome` uses them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.measure.chain import LAGS, LINK, UNIDENTIFIABLE, WIDTH, Chain, Indices, Rows
+from jackbox_env.fits.least_squares import LAGS, LINK, UNIDENTIFIABLE, WIDTH, Chain, Indices, Rows
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 

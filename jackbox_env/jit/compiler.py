@@ -40,7 +40,7 @@ _LOCK = threading.RLock()  # a function is compiled once, also if several thread
 _KNOWN_TO_NUMBA = {"numba", "numpy", *sys.stdlib_module_names}  # packages whose functions numba knows or refuses
 _MOST_FOLDERS = 8  # of compiled code, one for each version of the source
 # Where in this package stored code comes from: no file there imports one from elsewhere.
-_HASHED = "tools/", "model/", "exact/", "render/raster.py"
+_HASHED = "tools/", "model/", "jit/", "exact/", "render/raster.py"
 _numbers = itertools.count()
 
 
@@ -89,7 +89,7 @@ def _native() -> ModuleType:
     """
     with uninterrupted():
         try:
-            from jackbox_env.exact import pipelines
+            from jackbox_env.jit import pipelines
         except ModuleNotFoundError as error:
             raise ImportError(
                 'the exact model, fidelity="exact", and pictures as observations need numba, which CPython 3.11 to '
@@ -269,7 +269,7 @@ def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_dis
     if is_disabled():
         twin.__globals__["__builtins__"] = builtins  # numpy imports ctypes in the function that asks for an address
         return twin if inner else np.errstate(all="ignore")(twin)  # compiled integers wrap around in silence
-    from jackbox_env.exact.code_cache import CodeCache, warn_once
+    from jackbox_env.jit.code_cache import CodeCache, warn_once
 
     native = _native()
     if native.LACKING:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.exact.compiler import compiled
 from jackbox_env.exact.restart import spread
 from jackbox_env.exact.workspace import SCENE_PARAMS, Scenes
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags
 from jackbox_env.simulators.base import end_of_step

@@ -27,7 +27,7 @@ from typing import Any
 import llvmlite  # type: ignore[import-untyped]
 import numba
 
-from jackbox_env.exact.pipelines import NullCache, dumped, loaded, target_of
+from jackbox_env.jit.pipelines import NullCache, dumped, loaded, target_of
 from jackbox_env.tools import files
 
 _HEAD = hashlib.sha256().digest_size  # bytes of the checksum, which stands before the code

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from jackbox_env.measure.flights import Guess, guess_of, starts_of
-from jackbox_env.measure.recordings import state_at
-from jackbox_env.measure.search import FAR, MOST_BAD, MOST_SKIPPED, Search
-from jackbox_env.measure.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
+from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
+from jackbox_env.fits.recordings import state_at
+from jackbox_env.fits.search import FAR, MOST_BAD, MOST_SKIPPED, Search
+from jackbox_env.fits.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
 from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array
 
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained

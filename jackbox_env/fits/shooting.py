@@ -2,7 +2,7 @@
 
 The unknowns are the scene's fields and the windows' first states. A window's motion is the exact model's from its first
 state. If one window follows another, its end must be the other's start, within a slack that
-:mod:`jackbox_env.measure.fitting` tightens step by step. So no error grows through more than a few impacts on the way
+:mod:`jackbox_env.fits.fitting` tightens step by step. So no error grows through more than a few impacts on the way
 to the solution (Bock 1983, "Recent advances in parameter identification techniques for O.D.E."; MuJoCo's ``sysid``
 plays whole recordings instead). Derivatives are those of ``linearize``; after its first step without one they are 0.
 """
@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.measure.chain import LINK, UNHEARD, WIDTH, Indices, Rows
-from jackbox_env.measure.recordings import Recording, state_at
+from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Indices, Rows
+from jackbox_env.fits.recordings import Recording, state_at
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 from jackbox_env.planning.linearization import linearize

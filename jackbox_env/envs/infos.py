@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.envs.batches.base import Outcome
+from jackbox_env.envs.batch import Outcome
 from jackbox_env.model.states import Array, Flags
 
 Infos = dict[str, Any]

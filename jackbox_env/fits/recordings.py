@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.measure.columns import evened
-from jackbox_env.measure.tables import Table, stored_scene, table_of
-from jackbox_env.measure.torques import TORQUE_KINDS, torques_between
+from jackbox_env.fits.columns import evened
+from jackbox_env.fits.tables import Table, stored_scene, table_of
+from jackbox_env.fits.torques import TORQUE_KINDS, torques_between
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, VX_JACK, X_JACK, Array
 from jackbox_env.tools import checks as check
@@ -125,7 +125,7 @@ class Recording:
         cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
         impacts: ArrayLike | None = None, torque: str = "held",
     ) -> Recording:  # fmt: skip
-        """:meth:`from_frame` of a :class:`jackbox_env.measure.tables.Table`."""
+        """:meth:`from_frame` of a :class:`jackbox_env.fits.tables.Table`."""
         heard = None if impacts is None else _finite("impacts", impacts)
         arguments, notes = evened(table, scene, names, y_down, heard, torque)
         try:

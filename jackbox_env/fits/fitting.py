@@ -1,9 +1,9 @@
 """Fit fields of a scene to recordings, with confidence intervals.
 
-``fit`` cuts recordings into windows (:mod:`jackbox_env.measure.cutting`): between the middles of flights, if there
+``fit`` cuts recordings into windows (:mod:`jackbox_env.fits.windows`): between the middles of flights, if there
 are any, else one after the other, each fitted with the few before it. Then it fits all windows together
-(:mod:`jackbox_env.measure.search`), goes on from there to where the jack rests, tightens the links between windows and
-estimates the noise. Intervals and problems come last (:mod:`jackbox_env.measure.outcome`).
+(:mod:`jackbox_env.fits.search`), goes on from there to where the jack rests, tightens the links between windows and
+estimates the noise. Intervals and problems come last (:mod:`jackbox_env.fits.outcome`).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.measure.chain import Chain
-from jackbox_env.measure.cutting import cut_all, go_on, leave_out_bad_rows, resume
-from jackbox_env.measure.outcome import outcome_of
-from jackbox_env.measure.recordings import Recording, known_noise
-from jackbox_env.measure.result import Fit
-from jackbox_env.measure.search import LINK_SLACKS, Search
-from jackbox_env.measure.shooting import Parameters, Shooting
+from jackbox_env.fits.least_squares import Chain
+from jackbox_env.fits.outcome import outcome_of
+from jackbox_env.fits.recordings import Recording, known_noise
+from jackbox_env.fits.result import Fit
+from jackbox_env.fits.search import LINK_SLACKS, Search
+from jackbox_env.fits.shooting import Parameters, Shooting
+from jackbox_env.fits.windows import cut_all, go_on, leave_out_bad_rows, resume
 from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
@@ -40,7 +40,7 @@ def fit(
     recordings: Recording | Sequence[Recording], fields: Sequence[str], start: Scene | Mapping[str, Any] | None = None,
     *, noise: float | ArrayLike | Mapping[str, float] | None = None, progress: bool = False,
 ) -> Fit:  # fmt: skip
-    """Fit fields of a scene to recordings, by multiple shooting with exact derivatives (``measure/shooting.py``).
+    """Fit fields of a scene to recordings, by multiple shooting with exact derivatives (``fits/shooting.py``).
 
     The intervals are those of the linearised problem, in logarithms of masses, lengths and inertias.
 

@@ -9,21 +9,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.envs.batches.scenes import SceneTable
-from jackbox_env.envs.batches.threads import Ended, Halt, Threads, run_blocks, thread_count
+from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.past import Past
-from jackbox_env.envs.scoring import CompiledFunctions, Nouns, bad_reward, compiled_for
+from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import restart, run, score, workspace
-from jackbox_env.exact.compiler import address_of, compiled
 from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
 from jackbox_env.model.observation import STATE, bad_observation
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
+from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns, bad_reward, compiled_for
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
 
@@ -44,7 +44,7 @@ class Present(NamedTuple):
 
 
 class ExactBatch:
-    """As :class:`jackbox_env.envs.batches.single.SingleBatch`; 416 bytes per environment besides the arrays returned.
+    """As :class:`jackbox_env.envs.one_by_one.SingleBatch`; 416 bytes per environment besides the arrays returned.
 
     With a scene for each environment it is 160 bytes more.
 

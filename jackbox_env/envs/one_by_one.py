@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from jackbox_env.envs.batches.base import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.envs.batches.infos import blank
+from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
+from jackbox_env.envs.infos import blank
 from jackbox_env.envs.single import JackInBoxEnv, go_back, moment, put
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
@@ -36,7 +36,7 @@ class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
     :meth:`draw`, :meth:`step` and :meth:`start` may raise, and change nothing: they return what :meth:`take` then makes
-    the present. :class:`jackbox_env.envs.batches.exact.ExactBatch` has the same methods.
+    the present. :class:`jackbox_env.envs.compiled_batch.ExactBatch` has the same methods.
 
     A step and a start move the environments. If they are not taken, these go back to the moment before at their next
     use.

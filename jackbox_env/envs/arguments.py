@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.envs.batches.base import Change
+from jackbox_env.envs.batch import Change
 from jackbox_env.model.action import ACTIONS, Action
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Flags

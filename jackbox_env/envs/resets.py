@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from jackbox_env.envs.batches.arguments import Arguments
-from jackbox_env.envs.batches.base import Change
+from jackbox_env.envs.arguments import Arguments
+from jackbox_env.envs.batch import Change
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, as_start
 from jackbox_env.tools import checks as check

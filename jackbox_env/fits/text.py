@@ -1,6 +1,6 @@
 """Text files of numbers as trackers, loggers and spreadsheets write them: encoding, delimiter, headers, units.
 
-A file is read if its form is certain; otherwise a sentence names the form. :mod:`jackbox_env.measure.tables` turns its
+A file is read if its form is certain; otherwise a sentence names the form. :mod:`jackbox_env.fits.tables` turns its
 cells into numbers.
 """
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy import stats
 
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.measure.chain import UNHEARD, WIDTH, Chain, Rows
-from jackbox_env.measure.recordings import IMPACT, pushed
-from jackbox_env.measure.residuals import (
+from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
+from jackbox_env.fits.recordings import IMPACT, pushed
+from jackbox_env.fits.residuals import (
     autocorrelations,
     degrees_of_freedom,
     highest_mean_square,
@@ -23,9 +23,9 @@ from jackbox_env.measure.residuals import (
     studentised,
     unidentified_sentence,
 )
-from jackbox_env.measure.result import Fit
-from jackbox_env.measure.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
-from jackbox_env.measure.shooting import Parameters, Shooting
+from jackbox_env.fits.result import Fit
+from jackbox_env.fits.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations

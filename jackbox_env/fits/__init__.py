@@ -1,0 +1,1 @@
+"""Fits of scenes to recordings: people's files, first guesses, windows, least squares, outcome."""

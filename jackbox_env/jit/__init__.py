@@ -1,0 +1,1 @@
+"""Compiling: what numba makes of plain functions, and the machine code on disk."""
