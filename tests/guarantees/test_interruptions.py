@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import os
@@ -30,6 +31,7 @@ from jackbox_env.exact.geometry import cos_sin
 from jackbox_env.exact.workspace import Status
 from jackbox_env.jit import compiler
 from jackbox_env.simulators import CONTACT_MODELS, Simulator, contacts
+from jackbox_env.tools.signals import uninterrupted
 from tests.guarantees import interrupting_compiler
 from tests.states import WEIGHTLESS, lying
 
@@ -220,6 +222,24 @@ def test_interrupts_at_random_moments_neither_hang_nor_raise_other_errors(name: 
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
     assert int(ran.stdout.split()[0]) >= INTERRUPTS, ran.stdout
+
+
+def test_handlers_of_signals_wait_for_a_block_or_the_next_in_it_and_are_set_again() -> None:
+    came, number = list[int](), signal.SIGUSR1
+    before = signal.signal(number, lambda *_: came.append(len(came)))
+    try:
+        with contextlib.suppress(ValueError), uninterrupted():
+            signal.raise_signal(number)
+            assert came == []
+            with uninterrupted():
+                assert came == [0]
+            signal.raise_signal(number)
+            raise ValueError
+        assert came == [0, 1]
+        signal.raise_signal(number)
+        assert came == [0, 1, 2]
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.slow
