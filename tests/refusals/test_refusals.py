@@ -17,8 +17,8 @@ from jackbox_env import (
     JackInBoxVectorEnv,
     Motion,
     mechanics,
-    states,
 )
+from jackbox_env.model import states
 from jackbox_env.simulators import Simulator
 from tests.refusals.kinds import Hostile, out, real
 from tests.refusals.motions import ROWS
