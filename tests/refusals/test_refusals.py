@@ -18,7 +18,6 @@ from jackbox_env import (
     Motion,
     mechanics,
 )
-from jackbox_env.model import states
 from jackbox_env.simulators import Simulator
 from tests.refusals.kinds import Hostile, out, real
 from tests.refusals.motions import ROWS
@@ -130,7 +129,7 @@ def parameters(function: Any) -> set[str]:
 def test_every_public_callable_and_each_of_its_parameters_is_in_the_table() -> None:
     rows = {row.name: {name.partition(".")[0] for name in row.arguments} for row in TABLE}
     public = {name: getattr(jackbox_env, name) for name in set(jackbox_env.__all__) - WITHOUT_ARGUMENTS}
-    for owner in (mechanics, states, Simulator, JackInBoxEnv, JackInBoxVectorEnv, Motion):
+    for owner in (mechanics, Simulator, JackInBoxEnv, JackInBoxVectorEnv, Motion):
         for name, one in inspect.getmembers(owner, inspect.isfunction):
             qualified = f"{owner.__name__}.{name}" if inspect.isclass(owner) else name
             if one.__module__ == getattr(owner, "__module__", owner.__name__) and one.__qualname__ == qualified:
