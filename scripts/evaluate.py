@@ -31,11 +31,11 @@ class Arguments:
     policy: tuple[str, ...] = ("random", "chirp", "zero", "level")
     (
         "random: uniform torques; chirp: the scene's drive; zero: no torque; level: a PD controller that keeps the "
-        "box level; planner: simulates many torque sequences by the exact model, up to 10 ms for each decision of 0.1 "
-        "s; planner-fast: fewer, 1 ms; ppo: the network of the task in agents/trained; distilled: trained on exact "
-        "rollouts, needs none at run time; or run folders, exported policies, model files, or file.py:function, which "
-        "returns actions for observations. All play the same episodes: of the options here, or as env.json beside a "
-        "model file describes."
+        "box level; planner: simulates many torque sequences by the exact model, about 10 ms for each decision of 0.1 "
+        "s; planner-fast: fewer, about 1 ms; ppo: the network of the task in agents/trained; distilled: trained on "
+        "exact rollouts, needs none at run time; or run folders, exported policies, model files, or file.py:function, "
+        "which returns actions for observations. All play the same episodes: of the options here, or as env.json "
+        "beside a model file describes."
     )
     episodes: int = 128
     """Episodes of each policy."""
