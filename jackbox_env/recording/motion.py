@@ -41,7 +41,7 @@ class Motion:
     Attributes:
         scene: as simulated; a torque that is a function is its drive.
         dt: duration of a control step [s].
-        t: the start, and the ends of control steps [s], shape (n,).
+        t: the start, and the ends of control steps [s], shape (n,): sums of dt, as an environment's ``info["time"]``.
         states: at these times, SI units, shape (n, 12). The first is the given start: if a foot strikes there,
             ``motion(t[0])`` is the state after it. If an impact ends the motion, the last is the state after it.
         torques: constant in each control step [N m], shape (n - 1,); None: the scene's drive acts.
