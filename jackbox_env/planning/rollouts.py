@@ -1,6 +1,6 @@
 """Rollouts: many sequences of torques played from many states, by the exact contact model.
 
-Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, which ``icem.py``, ``features.py`` and
+Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, which ``icem.py`` and
 ``linearization.py`` call too. That runs ``exact/run.py`` on blocks of rows, on several threads.
 """
 
