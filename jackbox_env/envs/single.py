@@ -457,6 +457,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     def get_keys_to_action(self) -> Callable[[], dict[tuple[int, ...], AnyAction]]:
         """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
 
+        With the action "discrete" use ``play(..., noop=1)``: its default, 0, is the action of the right key.
+
         Raises:
             AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
         """

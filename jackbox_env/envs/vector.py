@@ -1,7 +1,7 @@
 """The vector environment: it sequences a batch of environments, their episodes and restarts.
 
-The batch (:mod:`jackbox_env.envs.batch`) steps the states; this file checks arguments and decides which episodes
-restart.
+A batch (``compiled_batch.py`` or ``one_by_one.py``) steps the states; this file checks arguments and decides which
+episodes restart.
 """
 
 from __future__ import annotations

@@ -34,7 +34,9 @@ _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
 _GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
-_TORQUE = re.compile(r"torque|tau|moment|n ?m\b", re.IGNORECASE)  # in headers of torques
+_TORQUE = re.compile(  # in headers of torques; no momentum, and no place "in m"
+    r"(?i:torque|(?<![a-z])tau|moment(?!um|a))|(?<![A-Za-z])[kM]?N[ ·*._-]?m{1,2}(?![A-Za-z])"
+)
 _LARGEST_STEP = 5.0 * _TURN  # from row to row
 
 

@@ -54,7 +54,7 @@ _CHUNK = 64  # steps between two searches for an event at first, then twice as m
 # Simulates from a state and a time [s] in steps of dt [s], by their number, under constant torques or the drive (None).
 Advance = Callable[[Array, float, float, int, Array | None], Record]
 
-Controller = Callable[[float, Array], float]  # returns the torque of a step from its start's time [s] and state [N m]
+Controller = Callable[[float, Array], float]  # from time [s] and state at a step's start to its torque [N m]
 
 
 def exact_advance(scene: Scene) -> Advance:

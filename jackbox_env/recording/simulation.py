@@ -63,7 +63,7 @@ def simulate(
         duration: simulated time [s], > 0. If it is no multiple of ``dt``, the last step is shorter. At most 10,000,000
             steps of ``dt``.
         torque: on the box. None: the scene's drive; a number [N m] (0.0: none); a function of the time [s] that
-            returns N m; one number for each control step; or a controller, a function of the time [s] and the
+            returns N m; one number for each control step; or a controller, a function that needs the time [s] and the
             :class:`jackbox_env.State`, called at the start of each step, in which the N m that it returns are constant.
             The drive's side forces act in any case.
         time: at the start [s].

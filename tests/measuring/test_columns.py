@@ -69,6 +69,15 @@ def test_names_may_have_units_and_leave_other_columns_out() -> None:
     assert recording.notes == ("left out, because no name stands for them: x_jack",)
 
 
+def test_only_columns_of_torques_cannot_be_left_out_where_the_drive_acts() -> None:
+    columns = {"time": [0.0, 0.1], "ball": [1.0, 1.0]}
+    for header in ("momentum_x", "marker x in m", "position m", "wavelength nm"):
+        Recording.from_frame({**columns, header: [2.0, 2.0]}, names={"x_jack": "ball"})
+    for header in ("box_tau", "Drehmoment", "motor (N.m)", "load [N·m]", "M_Nm", "M [N mm]", "motor (kN m)"):
+        with pytest.raises(ValueError, match="is left out, and the scene's drive"):
+            Recording.from_frame({**columns, header: [2.0, 2.0]}, names={"x_jack": "ball"})
+
+
 def test_y_down_turns_y_and_angles_over_but_no_torque() -> None:
     names = list(UNITS)[1:-1]
     columns = {"time": [0.0, 0.1], "torque": [7.0, 7.0], **{name: [0.5, 0.5] for name in names}}
