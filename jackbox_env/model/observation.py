@@ -190,7 +190,7 @@ def seen_of(observation: str | Observation | Pixels | Mapping[str, Any]) -> tupl
     Raises:
         TypeError, ValueError: as :func:`observation_of`; or a picture's size or stack is out of its range.
     """
-    if isinstance(observation, Mapping):  # Pixels in the JSON form of a spec
+    if isinstance(observation, Mapping) and observation:  # Pixels in the JSON form of a spec
         check.known_keys("observation", observation, ("size", "stack"))
         observation = Pixels(**observation)
     pixels = pixels_named(observation) if isinstance(observation, str) else observation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from inspect import signature
 from typing import Any
 
@@ -104,12 +105,14 @@ def simulate(
 def _is_controller(function: Callable[..., float]) -> bool:
     """Whether a function needs a state beside the time."""
     try:
-        signature(function).bind(0.0)
-    except TypeError:
-        return True
+        parameters = signature(function)
     except ValueError:  # numpy's functions have none
-        pass
-    return False
+        return False
+    for arguments in [0.0], [0.0, None]:
+        with suppress(TypeError):
+            parameters.bind(*arguments)
+            return len(arguments) == 2
+    raise TypeError(f"torque must be a function of the time, or of time and state, got {check.shown(function)}")
 
 
 def _checked(function: Callable[[float, State], float]) -> Controller:

@@ -33,7 +33,8 @@ def command_line(main: Callable[[], None]) -> Callable[[], None]:
     def wrapped() -> None:
         _open_closed()
         with suppress(ValueError):  # another thread than the main one cannot set handlers
-            signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+            if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+                signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
         try:
             main()
             sys.stdout.flush()  # a full disk fails here, not at Python's end

@@ -5,11 +5,14 @@ const FLASHES = 8; // impacts of a step that are drawn, at most
 const BASIS = 0xcbf29ce484222325n; // of the digest, FNV-1a
 const PRIME = 0x100000001b3n;
 
-const physics = await loadPhysics(unpacked(data.module, Uint8Array), data).catch(() => null);
-if (!physics) {
-  byId("hint").firstChild.textContent = "This browser, or the headers of this site, forbid WebAssembly, which this page needs: save the page and open the file.";
-  return;
-}
+const physics = await loadPhysics(unpacked(data.module, Uint8Array), data).catch((error) => {
+  console.error(error);
+  const forbidden = !window.WebAssembly || `${error.message}`.includes("Content Security Policy");
+  byId("hint").firstChild.textContent = forbidden
+    ? "This browser, or the headers of this site, forbid WebAssembly, which this page needs: save the page and open the file."
+    : `This page does not work here: ${error.message}`;
+});
+if (!physics) return;
 const buffers = [physics.makeBuffer(), physics.makeBuffer(), physics.makeBuffer()];
 const [main, preview, rival] = buffers; // for whole steps, for parts of a step, and for the ghost's steps
 const [agents, ghosts] = [main, rival].map((buffer) => Object.fromEntries(

@@ -103,6 +103,11 @@ MOTIONS = [
         "duration / dt must be at most 10,000,000 steps, got 1e+09 / 0.02",
         TORQUED,
     ),
+    Refusal(
+        lambda _: simulate(torque=lambda: 1.0),
+        TypeError,
+        "torque must be a function of the time, or of time and state, got <function <lambda>.<locals>...",
+    ),
     Refusal(lambda _: simulate(torque=lambda t: 1.0 / 0.0), ZeroDivisionError, "...division by zero"),
     Refusal(
         lambda _: simulate(None, [0.0] * 11 + [1e9], 2.0),
