@@ -230,7 +230,7 @@ class UsersFunctions(_Compilation):
         with _LOCK, uninterrupted():
             returned = native.return_type(self.compiled(function, inner=True), arguments)
         kinds = tuple(returned) if isinstance(returned, types.BaseTuple) else (returned,)
-        if not {*map(type, map(types.unliteral, kinds))} <= {types.Float, types.Integer, types.Boolean}:
+        if not all(isinstance(kind, types.Float | types.Integer | types.Boolean) for kind in kinds):
             return None, str(returned)
         if isinstance(returned, types.BaseTuple):
             return (float,) * len(kinds), str(returned)
