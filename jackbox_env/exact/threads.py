@@ -1,7 +1,7 @@
 """Distributes ranges of environments or rollouts over a pool of threads.
 
-The threads are our own because an interrupt can cut the Python code of ``concurrent.futures`` and leave a lock locked,
-so that the next step hangs (``tests/guarantees/test_interruptions.py``).
+The threads are our own because an interruption can cut the Python code of ``threading`` and ``concurrent.futures`` and
+leave a lock locked, so that the next step hangs (``tests/guarantees/test_interruptions.py``).
 """
 
 from __future__ import annotations
@@ -100,8 +100,7 @@ class _Job(Generic[R]):
 class _Workers:
     """Threads that work on the jobs in a queue. They end with this object and do not keep a process alive.
 
-    An interruption can cut the locks of ``threading`` and ``concurrent.futures``, which are Python code, and leave them
-    locked. It cannot cut a queue's methods, or the starts and ends of threads here: they are C.
+    A queue's methods, and the starts and ends of threads here, are C, which an interruption cannot cut.
     """
 
     def __init__(self, count: int) -> None:

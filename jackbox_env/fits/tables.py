@@ -158,7 +158,7 @@ def in_si_units(
             if name in (names or {}):
                 text = parts((names or {})[name], units)[0]
                 for header, _ in table.columns:
-                    if parts(header, {text})[0] == text:  # but for its unit, which is none
+                    if parts(header, {text})[0] == text:  # its unit is unknown: raise
                         _factor(table, header, None, None, units[name])
                 what = f"column {text!r}, which is to be {name}, must be one of {listed}"
             raise ValueError(f"{table.header().removesuffix('column')}{what}")

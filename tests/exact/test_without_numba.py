@@ -1,4 +1,4 @@
-"""On a Python that has no numba the package runs on pymunk, and says which Pythons have numba where it is needed."""
+"""Without numba the package runs on pymunk; where numba is needed, an error names the Pythons that have it."""
 
 from __future__ import annotations
 
