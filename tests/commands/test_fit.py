@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Chirp, Recording, Scene, rollout, simulate
-from jackbox_env.commands import fit
+from jackbox_env import Chirp, Fit, Recording, Scene, rollout, simulate
+from jackbox_env.commands import fit, fit_page
 from jackbox_env.commands import simulate as simulating
 from jackbox_env.model.states import STATE_NAMES
 from jackbox_env.recording.files import write_csv, write_scene
@@ -73,6 +73,15 @@ def test_a_noisy_recording_identifies_mass_and_restitution_and_the_page_shows_th
     assert all(f"<td>{cell}</td>" in page for row in table[1:] for cell in row)
     assert page.count("<svg") == 2
     assert not re.search(r"(src|href)=.https?:|url\(.?https?:", page)  # nothing is fetched
+
+
+def test_a_row_that_is_far_off_sets_no_scale_of_the_residuals() -> None:
+    pytest.importorskip("matplotlib")
+    states = np.zeros((2, 12))
+    states[1, 3] = 1e6
+    result = Fit(Scene(), {}, np.zeros(0), (), dict.fromkeys(STATE_NAMES, 1.0))
+    figure = fit_page._residuals(result, Recording(states, None, dt=0.1), np.zeros((2, 12)), [])
+    assert figure.axes[0].get_ylim()[1] < 20.0
 
 
 def test_the_search_starts_at_the_scene_that_simulate_has_written(
