@@ -16,7 +16,7 @@ from jackbox_env.model.states import STATE_NAMES, Array
 from jackbox_env.simulators.fidelity import COMMANDS, FIDELITIES
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
-from jackbox_env.tools.files import check_new, new_folder, stamped
+from jackbox_env.tools.files import check_new, new_folder, stamped, write_json
 
 if TYPE_CHECKING:
     from jackbox_env.recording.motion import Motion
@@ -150,13 +150,13 @@ def _refuse_impossible(arguments: argparse.Namespace) -> None:
 
 def _write(folder: Path, arguments: argparse.Namespace, motion: Motion) -> None:
     """Write the files that the options select."""
-    from jackbox_env.recording.files import write_csv, write_scene
+    from jackbox_env.recording.files import write_csv
 
     if arguments.format == "npz":
         motion.save(folder / "trajectory.npz")
     else:
         write_csv(motion.tables(), folder / "states.csv", folder / "impacts.csv")
-        write_scene(motion.scene, folder / "scene.json")
+        write_json(folder / "scene.json", motion.scene.as_dict())
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
