@@ -66,9 +66,16 @@ def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
 
 def write_film(frames: list[Frame], path: Path, fps: float) -> None:
     """Write frames to a new file."""
-    gif = {"duration": 1000.0 / fps, "loop": 0}
-    mp4 = {"fps": fps, "codec": "libx264", "macro_block_size": 4}
     with new_file(path) as partial, check.extra(*_VIDEO):
         import imageio.v3
+        from PIL import Image
 
-        imageio.v3.imwrite(partial, np.stack(frames), **(gif if path.suffix.lower() == ".gif" else mp4))
+        if path.suffix.lower() == ".gif":
+            # One palette for all frames keeps the background still and the file small.
+            palette = Image.fromarray(np.concatenate(frames[:: max(1, len(frames) // 24)])).quantize()
+            first, *others = (
+                Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in frames
+            )
+            first.save(partial, save_all=True, append_images=others, duration=round(1000.0 / fps), loop=0)
+        else:
+            imageio.v3.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
