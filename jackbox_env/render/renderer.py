@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
-from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH, draw_colours
+from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH
 from jackbox_env.simulators.base import Impact
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
 
@@ -50,10 +50,8 @@ _LONGEST_TASK = 18  # letters
 _PAPER: Colour = (243, 245, 248)
 _INTERIOR: Colour = (255, 255, 255)
 _RULE_DARKER: Colour = (28, 22, 12)  # a ruled line than its ground
-_RULE: Colour = (227, 233, 243)  # on the interior
 _FLASH: Colour = (255, 176, 0)
 _TRAIL: Colour = (120, 158, 214)
-_MARKS: Array = np.array([WALL, WALL, JACK, FIRST_FOOT, WALL], dtype=np.float64)  # as ``raster.draw`` numbers them
 
 # The trail's colours from new to old.
 _FADING: list[Colour] = [(r, g, b) for r, g, b in np.linspace(_TRAIL, _INTERIOR, 16).astype(int).tolist()]
@@ -120,9 +118,7 @@ class Renderer:
         self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's position [m]
         # Time [s], point in the box frame [m], radius [px].
         self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
-        # Frames with neither overlay nor letters are drawn without pygame.
-        self._plain = not (overlay or self._human) and min(size) < _LETTERED
-        self._canvas = None if self._plain else Canvas(size)
+        self._canvas: Canvas | None = Canvas(size)
         self._window: Any = None
         self._clock: Any = None
         self.show(scene)
@@ -223,8 +219,6 @@ class Renderer:
             A fresh array (height, width, 3) of uint8, or None in the human mode, which shows it in the window and waits
             for the next frame's time.
         """
-        if self._plain:
-            return self._plain_frame()
         if self._canvas is None:
             self._canvas = Canvas(self._size)
         canvas = self._canvas
@@ -242,17 +236,6 @@ class Renderer:
             self._show(canvas)
             return None
         return canvas.pixels()
-
-    def _plain_frame(self) -> NDArray[np.uint8]:
-        """Draw ruled lines, box and jack by compiled code."""
-        frame = np.empty((self._size[1], self._size[0], 3), np.uint8)
-        frame[:] = _INTERIOR
-        for axis in (0, 1):
-            for pixel in self._rules(axis):
-                frame[(slice(None),) * (1 - axis) + (slice(round(pixel), round(pixel) + 1),)] = _RULE
-        pose = self._box.real, self._box.imag, self._angle, self._jack.real, self._jack.imag, self._jack_angle
-        draw_colours(frame, pose, self._scene, self._centre + 0.5 + 0.5j, _MARKS)
-        return frame
 
     def drawn(self) -> NDArray[np.uint8]:
         """A frame, as :meth:`render` returns it where there is no window."""
