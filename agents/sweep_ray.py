@@ -48,10 +48,8 @@ def runner_for(workers: int | None, address: str | None) -> Runner:
         return partial(on_cores, check.whole("workers", workers, at_least=1, at_most=100))
     if address is None:
         return in_turn
-    try:
+    with check.extra("running trials on a cluster", "ray", "scale"):
         import ray
-    except ImportError as error:
-        raise ImportError(check.extra_needed("running trials on a cluster", "ray", "scale")) from error
     return partial(_on_cluster, ray, address)
 
 

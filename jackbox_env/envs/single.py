@@ -181,7 +181,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
     | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
-    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone; below 400 it is faster   |
+    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone                           |
 
     `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
     up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any

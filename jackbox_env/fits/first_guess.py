@@ -34,10 +34,8 @@ from jackbox_env.model.states import (
 )
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.fit", "scipy", "train"):
     from scipy.optimize import least_squares
-except ImportError as error:
-    raise ImportError(check.extra_needed("jackbox_env.fit", "scipy", "train")) from error
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)

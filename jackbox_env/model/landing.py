@@ -22,11 +22,6 @@ DECISION = 2.0  # [s] the longest until an impact
 RESTING = 0.4  # [s] the longest while every step has an impact
 
 
-def steps_until_impact(control_dt: float) -> tuple[int, int]:
-    """Control steps of ``control_dt`` [s] in a decision that an impact ends: at most, and at most at rest."""
-    return max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt))
-
-
 def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
     """When the jack lands [s], at most ``LONGEST``."""
     height = max(state.y_jack - state.y_box + scene.box_half_width - scene.jack_arm, 0.0)

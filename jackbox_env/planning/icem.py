@@ -33,11 +33,11 @@ class Plans(NamedTuple):
     decisions: NDArray[np.int64]  # (N,) made since the plan began
 
     def of(self, numbers: NDArray[np.int64]) -> Plans:
-        """Those of some jacks."""
+        """The plans of some jacks."""
         return Plans(self.means[numbers], self.elites[numbers], self.decisions[numbers])
 
     def replaced(self, numbers: NDArray[np.int64], plans: Plans) -> Plans:
-        """All, with those of some jacks replaced."""
+        """All plans, with those of some jacks replaced."""
         parts = self.means.copy(), self.elites.copy(), self.decisions.copy()
         for part, new in zip(parts, plans, strict=True):
             part[numbers] = new

@@ -54,11 +54,6 @@ class _Step(NamedTuple):
     impacts: list[Impact]
     torque: float | None  # constant [N m]; None: the drive's
 
-    def flight(self, scene: Scene) -> Iterator[_Sample]:
-        """Points of a step without impacts, its end included, with the work since its start."""
-        yield from self._between(scene, self.before, self.start, self.end, 0.0)
-        yield _Sample(self.end, self.after, box_energy(scene, self.after) - box_energy(scene, self.before))
-
     def _between(self, scene: Scene, state: list[float], start: float, end: float, done: float) -> Iterator[_Sample]:
         """Points of a flight from a state, without its ends; ``done`` is the work at its start."""
         points = math.ceil((end - start) / SPACING - 1e-6)
@@ -67,8 +62,8 @@ class _Step(NamedTuple):
             flying = flown(scene, state, start, since, self.torque)
             yield _Sample(start + since, flying, done + box_energy(scene, flying) - box_energy(scene, state))
 
-    def contact(self, scene: Scene) -> Iterator[_Sample]:
-        """The moments of a step with impacts, points between them, and its end, with the work since its start."""
+    def samples(self, scene: Scene) -> Iterator[_Sample]:
+        """The moments of impacts, points between them, and the step's end, with the work since its start."""
         replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
         resting = any(self._rests(scene, moment) for moment in replay.moments)
         start, state, done = self.start, self.before, 0.0
@@ -109,8 +104,7 @@ def samples_of(motion: Motion) -> Samples:
     for number, count in enumerate(motion.counts.tolist()):
         hits, done = list(islice(impacts, count)), samples[-1].work
         step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, constant_torques[number])
-        new = step.contact(scene) if step.impacts else step.flight(scene)
-        samples += [one._replace(work=done + one.work) for one in new]
+        samples += [one._replace(work=done + one.work) for one in step.samples(scene)]
     times, states, work = zip(*samples, strict=True)
     energies = [energy_of(scene, state) for state in states]
     return Samples(*map(np.array, (times, states, _torques(motion, times), energies, work)))

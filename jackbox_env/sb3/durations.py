@@ -12,12 +12,10 @@ import numpy as np
 
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     import torch
     from stable_baselines3.common.buffers import RolloutBuffer
     from stable_baselines3.common.callbacks import BaseCallback
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 
 class DurationBuffer(RolloutBuffer):

@@ -25,12 +25,10 @@ from jackbox_env.simulators import Impact
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 _KEYWORDS = [
     name
