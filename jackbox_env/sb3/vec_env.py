@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -82,6 +83,7 @@ class JackInBoxVecEnv(VecEnv):
         self.metadata = self.vector_env.metadata
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
         self._changes = 0  # of the vector environment, at the time of returns and lengths
+        self.discounted = env_kwargs.get("action_repeat") != "bounce"  # rightly: Durations sets it too
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -116,6 +118,17 @@ class JackInBoxVecEnv(VecEnv):
 
     def step_async(self, actions: Any) -> None:
         """Store the actions, shape (N, n) or (N,), for ``step_wait``."""
+        if not self.discounted:
+            caller = sys._getframe(1)
+            while caller.f_back and caller.f_code.co_name in ("step", "step_async"):  # of wrappers
+                caller = caller.f_back
+            if caller.f_code.co_name == "collect_rollouts":  # of a training
+                self.discounted = True  # one warning is enough
+                warnings.warn(
+                    "decisions of 'bounce' last unequally, and gamma is per decision: learn(n, callback=Durations()) "
+                    "of jackbox_env.sb3 discounts by elapsed time",
+                    stacklevel=2,
+                )
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
