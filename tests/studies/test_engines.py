@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from jackbox_env import cheapest
-from scripts.studies.accuracy import accuracy, answers, engines, measured
+from scripts.studies.accuracy import accuracy, engines, measured
 from scripts.studies.baselines import javascript
 
 RECORD = accuracy.STUDY.read(Path(__file__).parents[2] / "docs")
@@ -69,16 +69,6 @@ def test_results_of_engines_that_are_not_installed_stay_as_stored_and_the_page_s
     page = accuracy.STUDY.page(RECORD | merged)
     assert page.count("Rapier is not installed here: its results are of an earlier run.") == 1
     assert page.count("not installed here") == 1
-
-
-def test_the_table_has_every_engine_and_the_claims_of_its_ends_hold() -> None:
-    ranked = accuracy.ranking(RESULTS)
-    assert ranked[0] == measured.EXACT
-    assert ranked[-1] == measured.THRESHOLD
-    assert {RESULTS.of(name, "prefix", measured.REFERENCE).family for name in ranked} >= engines.ENGINES.keys()
-    assert {name for name, _, quantity in RESULTS.rows if quantity == measured.COST} == {*ranked}
-    words = answers.words(RECORD)
-    assert f"{words['fastest']}, 64 substeps" in ranked
 
 
 @pytest.mark.parametrize("bound", [0.005, 0.001])
