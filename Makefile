@@ -4,6 +4,8 @@
 # make roundings: what uses PyTorch, BLAS or numpy's kernels, as these round on other processors.
 # On Windows: make BIN=.venv/Scripts PYTHON=python ...
 PYTHON ?= python3
+# Else each process that a test starts compiles the modules of PyTorch and numba again: most of its time.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 # One thread each: two workers on two cores would wait for each other's.

@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -28,7 +28,7 @@ from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
-from jackbox_env.simulators import Impact, Simulator, make_simulator
+from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
 from jackbox_env.simulators.agent_functions import Functions, Nouns, make_functions, tried
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
@@ -44,6 +44,22 @@ _KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the righ
     ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
 }  # fmt: skip
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
+
+
+class Snapshot(NamedTuple):
+    """All of an environment that steps and resets change, but its generator and the frames of a list."""
+
+    parts: tuple[Simulator, Functions]
+    present: StepResult
+    elapsed_steps: int
+    impacts: Sequence[Impact] | None
+    past: Past | None
+    picture: Any
+
+    @property
+    def scene(self) -> Scene:
+        """The scene then."""
+        return self.parts[0].scene
 
 
 class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
@@ -276,7 +292,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     def _parts_for(self, scene: Scene) -> tuple[Simulator, Functions]:
         """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
-        return self.simulator_of(scene), self._parts[1].of(scene)
+        return self._parts if scene == self.scene else (self.simulator_of(scene), self._parts[1].of(scene))
 
     @property
     def _simulator(self) -> Simulator:
@@ -337,27 +353,19 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         check.known_keys("options", options, ("state", "time", "scene"))
         time = 0.0 if options.get("time") is None else options["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        generator = self.np_random if seed is None else np_random(seed)[0]
-        if self.nouns.task.start is not None:  # it may change more than the bits' state
-            generator = copy.deepcopy(generator)
-        bits = generator.bit_generator.state
-        try:
-            scene = self._next_scene(generator, options.get("scene"))
-            if options.get("state") is None:
-                state = tasks.draw_start(self.nouns.task, scene, generator)
-            else:
-                state = as_start(scene, options["state"])
-            parts = self._parts if scene == self.scene else self._parts_for(scene)
-            if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
-                tried(parts[1], state)
-            observation = parts[1].observe(state, time)
-        except BaseException:
-            generator.bit_generator.state = bits
-            raise
+        generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
+        scene = self._next_scene(generator, options.get("scene"))
+        if options.get("state") is None:
+            state = tasks.draw_start(self.nouns.task, scene, generator)
+        else:
+            state = as_start(scene, options["state"])
+        parts = self._parts_for(scene)
+        if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
+            tried(parts[1], state)
+        observation = parts[1].observe(state, time)
         super().reset(seed=seed)
         self._np_random = generator
-        parts[0].reset(state, time)
-        self._adopt(parts)
+        self._place(parts, state, time)
         observation = observation if self._past is None else self._pictures(self._past)
         if self.render_mode == "human":
             self.render()
@@ -373,8 +381,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         drawn = self._randomize.draw(self._first_scene, generator)
         return self._first_scene.changed(**{**drawn, **(changes or {})})
 
-    def _adopt(self, parts: tuple[Simulator, Functions], steps: int = 0) -> None:
-        """Continue with a simulator whose state is set, after some control steps of the episode, and draw it."""
+    def _place(self, parts: tuple[Simulator, Functions], state: Array, time: float, steps: int = 0) -> None:
+        """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
+        parts[0].reset(state, time)
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
@@ -473,6 +482,21 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
         return keys
 
+    # -- for batches --------------------------------------------------------------------------------------------------
+
+    def _snapshot(self) -> Snapshot:
+        """The environment as it is now, for :meth:`_restore`."""
+        picture = None if self._renderer is None else self._renderer.snapshot()
+        return Snapshot(self._parts, self._parts[0].snapshot(), self.elapsed_steps, self._impacts, self._past, picture)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Return to the moment of a :meth:`_snapshot`."""
+        self._parts, present, self.elapsed_steps, self._impacts, self._past, picture = snapshot
+        self._parts[0].restore(present)
+        if self._renderer is not None:
+            self._renderer.show(self.scene)
+            self._renderer.restore(picture)
+
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: AnyAction) -> float:
@@ -516,27 +540,3 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             self._renderer.reset(self._simulator.state, self._simulator.time)
         if self._renderer is not None and self.render_mode == "rgb_array_list":
             self._frames = [self._renderer.drawn()]
-
-
-def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float, steps: int) -> None:
-    """Set an environment's scene, state, time [s] and control steps of its episode, which are checked.
-
-    Batches of environments use it.
-    """
-    parts = env._parts if scene == env.scene else env._parts_for(scene)
-    parts[0].reset(state, time)
-    env._adopt(parts, steps)
-
-
-def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
-    """An environment's state, last step and picture now, for :func:`go_back`."""
-    picture = None if env._renderer is None else env._renderer.snapshot()
-    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, env._past, picture
-
-
-def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
-    """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
-    env._parts, present, env.elapsed_steps, env._impacts, env._past, picture = to
-    env._parts[0].restore(present)
-    if env._renderer is not None:
-        env._renderer.restore(picture)

@@ -174,12 +174,12 @@ class Renderer:
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
     def snapshot(self) -> dict[str, Any]:
-        """What is drawn of the present scene, for one :meth:`restore`."""
+        """What is drawn of the present scene, for :meth:`restore`."""
         return {name: copy.copy(getattr(self, name)) for name in _OF_EPISODE}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to the moment of a :meth:`snapshot`."""
-        vars(self).update(snapshot)
+        vars(self).update({name: copy.copy(value) for name, value in snapshot.items()})
 
     def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
         """Return the point of the wall that the foot struck, in the box frame [m].

@@ -95,19 +95,18 @@ def test_feet_that_touch_together_are_the_first_impact_in_any_order(monkeypatch:
     assert chosen.setting == Setting("pymunk", 1)
 
 
-@pytest.mark.slow
 def test_settings_that_lose_the_jack_or_hit_elsewhere_will_not_do_whatever_the_bounds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # 1000 times the torque: coarse substeps of pymunk cannot follow
-    wild = cheapest({"torque_limit": 9e7, "restitution": 0.5}, cases=2, steps=100, contact="pymunk")
+    # 1000 times the torque: coarse substeps of pymunk lose the jack after their first impact, which is the right one
+    wild = cheapest({"torque_limit": 9e7, "restitution": 0.5}, cases=1, steps=80, contact="pymunk")
     # a jack that turns by a quarter in each control step: dips into walls that no step of pymunk sees
     spinner = np.zeros(12)
     spinner[[3, 5, 11]] = 0.35, math.pi / 4.0, math.pi / 2.0 / 0.02
     scene = {**WEIGHTLESS, "box_half_width": 0.8, "jack_arm": 0.5, "torque_limit": 1e-9, "restitution": 0.99}
     monkeypatch.setattr(choosing, "sample_start", lambda scene, rng: spinner)
-    for chosen in (wild, cheapest(scene, cases=1, steps=50, contact="pymunk")):
-        assert (chosen.setting.substeps or 0) > 1
+    for chosen, lost in ((wild, 2), (cheapest(scene, cases=1, steps=50, contact="pymunk"), 1)):
+        assert (chosen.setting.substeps or 0) > lost
         assert math.isfinite(chosen.first_impact_error + chosen.penetration)
 
 
