@@ -41,7 +41,7 @@ from typing_extensions import override
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
-from jackbox_env.exact.score import one_row, step_and_judge
+from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
@@ -136,9 +136,7 @@ class ExactSimulator(Simulator):
         self._prepare()
 
     @override
-    def stepped(
-        self, dt: float, torque: float | None, judged: int = 0, observation: NDArray[np.float32] | None = None
-    ) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
         present, held = self._present, torque is not None
         if torque is not None:
             self._control[0] = torque
@@ -149,10 +147,7 @@ class ExactSimulator(Simulator):
             self._states[1 - into][:] = present.state
         call, self._times[1 - into][0] = self._calls[into], present.time
         while True:
-            if observation is None:
-                ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
-            else:
-                ended, hits, self.verdict = self._step_and_judge(self._loop, call.address, judged, observation)
+            ended, hits = self._step_and_score(self._loop, call.address, scoring)
             if not ended:
                 break
             if ended not in AGAIN:
@@ -187,9 +182,9 @@ class ExactSimulator(Simulator):
 
     def _prepare(self) -> None:
         blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
-        self._blocks, self._states, self._run = blocks, list(blocks[:, 0, :12, 0]), compiled(run)
+        self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
-        self._loop, self._step_and_judge = 0, compiled(step_and_judge)
+        self._loop, self._step_and_score = address_of(compiled(run), one_row), compiled(step_and_score)
         self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
         self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
@@ -209,7 +204,7 @@ class ExactSimulator(Simulator):
         rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
         results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared, self._loop = [None, None], address_of(self._run, one_row)
+        self._prepared = [None, None]
         for into, call in enumerate(self._calls):
             call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
         if not self._cut[held]:
