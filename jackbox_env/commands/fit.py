@@ -20,7 +20,7 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
@@ -111,7 +111,7 @@ def read_recording(
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
     """
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.tables import filled, in_si_units, read_table
 
     heard = None

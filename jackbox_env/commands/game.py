@@ -79,7 +79,7 @@ class Game(NamedTuple):
     digest: int = _BASIS
 
 
-class Step(NamedTuple):
+class PlayedStep(NamedTuple):
     """A simulated step of a game.
 
     Attributes:
@@ -134,9 +134,9 @@ def replay_game(game: Game) -> tuple[int | None, list[float]]:
     return differs, [step.reward for step in steps]
 
 
-def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
+def replayed_steps(game: Game) -> tuple[int | None, list[PlayedStep]]:
     """:func:`replay_game` with the steps before a difference in place of their rewards."""
-    steps = list[Step]()
+    steps = list[PlayedStep]()
     for count, step in enumerate(_simulated(game), 1):
         if step.number >> 56 != game.checks[count - 1] or (count == len(game.shares) and step.number != game.digest):
             return count, steps
@@ -144,7 +144,7 @@ def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
     return None, steps
 
 
-def played_columns(game: Game, steps: Sequence[Step]) -> Columns:
+def played_columns(game: Game, steps: Sequence[PlayedStep]) -> Columns:
     """A table of n steps, with n + 1 rows: that of states.csv with the number of impacts, their impulse, the reward.
 
     A row's torque, impacts, impulse and reward are of the step that begins there; the last row's are NaN. A foot at
@@ -202,7 +202,7 @@ def write_game(
     return text
 
 
-def _simulated(game: Game) -> Iterator[Step]:
+def _simulated(game: Game) -> Iterator[PlayedStep]:
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
     functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
     simulator.reset(game.start)
@@ -218,7 +218,7 @@ def _simulated(game: Game) -> Iterator[Step]:
             number = (number ^ word) * _PRIME & _WORD
         impulse = total_impulse(result.impacts)
         _, terms, _ = functions.judge(result.state, result.time, result.torque, impulse, seen=False)
-        yield Step(result, impulse, total(terms), number)
+        yield PlayedStep(result, impulse, total(terms), number)
 
 
 def _start(scene: Scene, values: Any) -> Array:
