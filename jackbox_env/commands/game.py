@@ -78,7 +78,7 @@ class Game(NamedTuple):
     digest: int = _BASIS
 
 
-class Step(NamedTuple):
+class PlayedStep(NamedTuple):
     """A simulated step of a game.
 
     Attributes:
@@ -129,9 +129,9 @@ def replay_game(game: Game) -> tuple[int | None, list[float]]:
     return differs, [step.result.reward for step in steps]
 
 
-def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
+def replayed_steps(game: Game) -> tuple[int | None, list[PlayedStep]]:
     """:func:`replay_game` with the steps before a difference in place of their rewards."""
-    steps = list[Step]()
+    steps = list[PlayedStep]()
     for count, step in enumerate(_simulated(game), 1):
         if step.number >> 56 != game.checks[count - 1] or (count == len(game.shares) and step.number != game.digest):
             return count, steps
@@ -139,7 +139,7 @@ def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
     return None, steps
 
 
-def played_columns(game: Game, steps: Sequence[Step]) -> Columns:
+def played_columns(game: Game, steps: Sequence[PlayedStep]) -> Columns:
     """A table of n steps, with n + 1 rows: that of states.csv with the number of impacts, their impulse, the reward.
 
     A row's torque, impacts, impulse and reward are of the step that begins there; the last row's are NaN. A foot at
@@ -198,7 +198,7 @@ def write_game(
     return text
 
 
-def _simulated(game: Game) -> Iterator[Step]:
+def _simulated(game: Game) -> Iterator[PlayedStep]:
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
     functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
     simulator.reset(game.start)
@@ -213,7 +213,7 @@ def _simulated(game: Game) -> Iterator[Step]:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
         for word in done.state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
-        yield Step(done, number)
+        yield PlayedStep(done, number)
 
 
 def _start(scene: Scene, values: Any) -> Array:

@@ -184,7 +184,7 @@ def rollout(
 
 @dataclass
 class Tape:
-    """What a rollout records for its derivatives."""
+    """The record of a rollout for its derivatives."""
 
     rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
     hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
@@ -192,7 +192,7 @@ class Tape:
 
 
 class RolloutOptions(NamedTuple):
-    """How :func:`run_rollouts` plays, and which results it adds to the last states."""
+    """Options of :func:`run_rollouts`: what acts, and which results it adds to the last states."""
 
     side_forces: bool = True  # whether the drives' side forces act
     drives_turn: bool = False  # whether the drives' torques act, in place of the arguments'

@@ -17,7 +17,7 @@ Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostErro
     or less does so about a thousand times per control step; a foot that reaches another wall meanwhile may be as deep
     in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in the
     last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
-    1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse between two of the 13 points of a
+    1e12 rad). A drive's functions are interpolated, see ``drives.py``: a pulse between two of the 13 points of a
     piece is missed.
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
@@ -62,7 +62,7 @@ from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
-from jackbox_env.simulators.functions import function_pieces
+from jackbox_env.simulators.drives import function_pieces
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
 NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
