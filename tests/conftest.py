@@ -105,6 +105,12 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
         ensure_page()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that no worker ends long before the other."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run draw every case."""
     parser.addoption("--whole", action="store_true", help="draw all cases of the sweeps, not a quarter")
