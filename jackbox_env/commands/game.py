@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import __version__
-from jackbox_env.exact.restart import WHOLE, unpacked
+from jackbox_env.exact.pcg64 import WHOLE, unpacked
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.scene_table import SceneTable
-from jackbox_env.exact import restart, run, score, workspace
-from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact import pcg64, run, score, workspace
+from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import SHARES, Call, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.jit.compiler import address_of, compiled
@@ -173,7 +173,7 @@ class ExactBatch:
         if changes is None and drawn is not None and drawn.function is None and not (otherwise or starting):
             rows, derived = table.original_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
-            compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
+            compiled(pcg64.draw_scenes)(rows, drawn.table, follows, words)
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
@@ -208,7 +208,7 @@ class ExactBatch:
         else:
             rows = scenes
         if states is None:
-            compiled(restart.restart_blocks)(rows, blocks, numbers, words)
+            compiled(pcg64.restart_blocks)(rows, blocks, numbers, words)
         if not (states is None and times is None):
             block, lane = np.divmod(numbers, self._width)
             if states is not None:

@@ -69,7 +69,7 @@ class Workspace(np.record):  # type: ignore[misc]
     before: Annotated[Array, 12]  # of a tangent: the state just before an impact
     after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
     drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
-    rest: int  # address of ``rest.settle_and_advance``; 0: not compiled yet, see late.py
+    rest: int  # address of ``late.settle_and_advance``; 0: not compiled yet, see late.py
     together: int  # address of ``contact.bounce_together``; 0: not compiled yet
     powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
     contacts: Contacts
@@ -171,7 +171,7 @@ class Scenes(NamedTuple):
     """The scenes and their drives: one for all rows, or one for each."""
 
     values: Array  # (1 or N, numbers of a scene)
-    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``restart.spread``
+    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``glide.spread``
     kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``

@@ -13,7 +13,8 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.exact.restart import outside, spread
+from jackbox_env.exact.geometry import outside
+from jackbox_env.exact.glide import spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count

@@ -24,7 +24,7 @@ Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C librar
     (``geometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/search.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
 """
 
 from __future__ import annotations
