@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +18,12 @@ import numpy as np
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 from jackbox_env.fits.torques import TORQUE_KINDS
+from jackbox_env.model.states import RATES, X_JACK
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
@@ -65,9 +68,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
     text = (
         "whether each torque in a file was held to the next row, sampled from a smooth curve, or changes linearly to "
-        "the next row; default: held"
+        "the next row; default: held, and a note if another fits better"
     )
-    parser.add_argument("--torque-column", choices=TORQUE_KINDS, default=TORQUE_KINDS[0], help=text)
+    parser.add_argument("--torque-column", choices=TORQUE_KINDS, help=text)
     text = (
         "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
         "in the folder of the files, with the options of single fields"
@@ -111,7 +114,7 @@ def read_recording(
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
     """
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.tables import filled, in_si_units, read_table
 
     heard = None
@@ -193,17 +196,21 @@ def main() -> None:
     stored = _stored_scene(paths) if arguments.scene == "{}" else {}
     start, noise = Scene.of({**stored, **chosen_scene(arguments.scene, arguments)}), _noise(arguments.noise)
     start = start.changed(drive=None) if arguments.torque == "none" else start
-    names, torque = column_names(arguments.columns), arguments.torque_column
-    recordings = [
-        read_recording(path, start, heard, names, arguments.y_down, torque)
-        for path, heard in zip(paths, arguments.impacts or [None] * len(paths), strict=True)
-    ]
+    impacts, names = arguments.impacts or [None] * len(paths), column_names(arguments.columns)
+
+    def read(torque: str) -> list[Recording]:
+        return [
+            read_recording(path, start, heard, names, arguments.y_down, torque)
+            for path, heard in zip(paths, impacts, strict=True)
+        ]
+
+    recordings = read(arguments.torque_column or "held")
     for path, recording in zip(paths, recordings, strict=True):
         for note in recording.notes:
             print(f"{path}: {note}.", file=sys.stderr)
         if arguments.torque == "none" and recording.torques is not None:
             raise ValueError(f"{path}: --torque none is for files without a column torque")
-    if torque != TORQUE_KINDS[0] and all(one.torques is None for one in recordings):
+    if arguments.torque_column not in (None, "held") and all(one.torques is None for one in recordings):
         raise ValueError("--torque-column goes with a column torque, which no file has")
     if stored:
         file = paths[0] if paths[0].suffix == ".npz" else paths[0].with_name("scene.json")
@@ -219,6 +226,16 @@ def main() -> None:
     result = fit(recordings, arguments.fields, start, noise=noise, progress=True)
     print(f"... took {time.perf_counter() - began:.1f} s", file=sys.stderr)
     print(_printed(table_of(result, start)), *sentences(result, recordings), sep="\n")
+    jack_seen = [one for one in recordings if np.isfinite(one.states[:, X_JACK:RATES]).any()]
+    if not (result.converged or arguments.torque_column) and any(one.torques is not None for one in jack_seen):
+        results = {"held": result}
+        for kind in TORQUE_KINDS[1:]:
+            with suppress(ValueError):  # a file without a torque in its last row, or that no motion can follow
+                results[kind] = fit(read(kind), arguments.fields, start, noise=noise)
+        better = [(one.converged, -one.left_out, -math.prod(one.noise.values())) for one in results.values()]
+        best = [*results][better.index(max(better))]
+        if best != "held":
+            print(f"The torques fit better with --torque-column {best}.", file=sys.stderr)
     if arguments.html:
         titles = [str(path) for path in paths]
         new_folder(folder, "fit", lambda new: write_fit_page(new / "fit.html", result, start, recordings, titles))

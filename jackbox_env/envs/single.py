@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.decisions import ControlStep, decide
+from jackbox_env.envs.decisions import decide
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.settings import Settings
 from jackbox_env.exact.threads import Threads
@@ -29,7 +29,7 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
-from jackbox_env.simulators.agent_functions import Functions, Nouns, make_functions, tried
+from jackbox_env.simulators.agent_functions import ControlStep, Functions, Nouns, make_functions, tried
 from jackbox_env.simulators.fidelity import FURTHER, resolve
 from jackbox_env.tools import checks as check
 

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.least_squares import Chain
+from jackbox_env.fits.observed import Recording, known_noise
 from jackbox_env.fits.outcome import outcome_of
-from jackbox_env.fits.recordings import Recording, known_noise
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, Search
 from jackbox_env.fits.shooting import Parameters, Shooting

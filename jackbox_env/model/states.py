@@ -112,7 +112,7 @@ def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
 
 
 def start_tolerance(state: Sequence[float]) -> float:
-    """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
+    """The most that a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
     furthest = max(abs(state[X_BOX]), abs(state[Y_BOX]), abs(state[X_JACK]), abs(state[Y_JACK]))
     return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
 
@@ -135,7 +135,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 
 
 def deepest_restored(scene: Scene) -> float:
-    """How far outside the box a foot may be in a restored state [m]: min(1 m, L)."""
+    """The most that a foot of a restored state may be outside [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 

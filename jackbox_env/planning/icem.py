@@ -51,7 +51,7 @@ class Decision(NamedTuple):
     returns: Array  # (n,) their sums of rewards
 
 
-class Search:
+class PlanSearch:
     """Improves plans by iCEM.
 
     Args:

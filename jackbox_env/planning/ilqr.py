@@ -185,7 +185,7 @@ class _Problem:
         return (weights[:, None] * off) @ relative, weights[:, None, None] * (relative.T @ relative)
 
     def _costs(self, states: Array) -> tuple[Array, Array, Array]:
-        """What the user's function returns for states, (H, 12).
+        """The user's costs, slopes and curvatures for states, (H, 12).
 
         Raises:
             TypeError, ValueError: it is not three arrays of finite numbers of these shapes.

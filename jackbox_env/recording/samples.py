@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import islice, pairwise
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ class Samples(NamedTuple):
 
     times: Array  # [s], (n,)
     states: Array  # SI units, (n, 12)
-    torques: Array  # mean torque on the box since the sample before [N m], (n,)
+    torques: Array  # on the box [N m], (n,)
     energies: Array  # kinetic energy and m_j g y_jack [J], (n,)
     work: Array  # of torque and side forces on the box since the start [J], (n,)
 
@@ -111,13 +111,9 @@ def samples_of(motion: Motion) -> Samples:
 
 
 def _torques(motion: Motion, times: Sequence[float]) -> list[float]:
-    """Mean torque since the sample before, for each sample [N m]; the first has that of the second."""
-    if len(motion.t) == 1:
-        return [0.0]
+    """Torque at each sample [N m]: that of its step, or the drive's."""
     if motion.torques is not None:
-        return motion.torques[np.searchsorted(motion.t[1:], times)].tolist()  # type: ignore[no-any-return]
-    drive, torques = motion.scene.drive or Drive(), list[float]()
-    for last, time in pairwise(times):
-        still = time <= last and torques
-        torques.append(torques[-1] if still else sum(drive.torque_means(last, time - last)) / 2.0)
-    return [torques[0], *torques]
+        steps = np.searchsorted(motion.t[1:], times)
+        return np.append(motion.torques, 0.0)[steps].tolist()  # type: ignore[no-any-return]
+    torque = getattr(motion.scene.drive, "torque", None) or (lambda time: 0.0)
+    return [float(torque(time)) for time in times]

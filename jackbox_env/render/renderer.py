@@ -174,7 +174,7 @@ class Renderer:
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
     def snapshot(self) -> dict[str, Any]:
-        """What is drawn of the present scene, for :meth:`restore`."""
+        """A copy of all that a frame shows of the present scene, for :meth:`restore`."""
         return {name: copy.copy(getattr(self, name)) for name in _OF_EPISODE}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from jackbox_env.jit.compiler import UsersFunctions
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
-Judged = tuple[Seen, Sequence[float], bool]
-# State, time [s], mean torque [N m], impacts, their impulse [N s], and what is judged.
-Stepped = tuple[Array, float, float, Sequence[Impact], float, Seen, Sequence[float], bool]
 # What was read and compiled of each user's task, observation or action, as long as that lives.
 _compiled: WeakKeyDictionary[Any, UsersFunctions] = WeakKeyDictionary()
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
@@ -79,37 +76,62 @@ class Nouns(NamedTuple):
         return np.empty((count, *one), dtype=kind)
 
 
+class ControlStep(NamedTuple):
+    """Results of a control step, or of several with sums."""
+
+    state: Array  # at its end, (12,)
+    time: float  # at its end [s]
+    torque: float  # mean [N m]
+    impacts: Sequence[Impact]
+    impulse: float  # [N s]
+    terms: Sequence[float]  # of the reward
+    reward: float
+    over: bool  # whether it terminates the episode
+    seen: Seen  # observation at its end, or empty
+
+
+_new: Callable[..., ControlStep] = tuple.__new__  # twice as fast as ControlStep(...)
+
+
 class PlainFunctions:
     """Their functions in a scene, in plain Python."""
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
         self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
 
-    def step(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> Stepped:
-        """Step a simulator of the scene, and :meth:`judge` the state; the arguments of the step are checked."""
-        stored, time, mean, impacts = simulator.step_checked(dt, torque)
-        state, impulse = np.array(stored), total_impulse(impacts) if impacts else 0.0
-        return (state, time, mean, impacts, impulse, *self.judge(state, time, mean, impulse, seen))
+    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
+        """Step a simulator of the scene, score its state, and observe it if it is to be ``seen``.
 
-    def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
-        """After a step: the observation, the values of the reward's terms, and whether the episode is over.
+        The arguments of the step are checked.
+
+        Raises:
+            TypeError: a user's function returns a wrong type.
+            TaskError: the reward is NaN or infinite, or a number of the observation NaN.
+            JackLostError: the jack cannot be followed.
+        """
+        stored, time, mean, impacts = simulator.step_checked(dt, torque)
+        after, impulse = State(*stored), total_impulse(impacts) if impacts else 0.0
+        terms, over = self.score(after, mean, impulse)
+        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else _NOTHING
+        reward = checked_reward(self.nouns.task, terms)
+        return _new(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
+
+    def score(self, after: State, torque: float, impulse: float) -> tuple[Sequence[float], bool]:
+        """After a step: the values of the reward's terms, and whether the episode is over.
 
         Args:
-            state: shape (12,).
-            time: [s].
+            after: the state, of Python's numbers.
             torque: mean over the step [N m].
             impulse: of its impacts [N s].
-            seen: False: the observation is not wanted, and empty.
         """
-        after, over, task = State(*state.tolist()), False, self.nouns.task
+        over, task = False, self.nouns.task
         values = task.values(self._numbers, after, torque, impulse)
         terms = cast("tuple[float, ...]", values) if self._known else checked_terms(task, values)
         if task.over is not None:
             over = task.over(self._numbers, after, torque, impulse)
             if not isinstance(over, bool | np.bool_):
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else _NOTHING
-        return observation, terms, bool(over)
+        return terms, bool(over)
 
     def observe(self, state: Array, time: float) -> Seen:
         """The observation of a state, shape (12,), at a time [s].
@@ -135,36 +157,33 @@ class CompiledFunctions:
     def __init__(self, scene: Scene, nouns: Nouns, calls: tuple[Any, ...] | None = None) -> None:
         self._scene, self.nouns = scene, nouns
         self._calls = calls or _calls_of(nouns)
-        self._judge, self._observe, self._share, *_ = self._calls
-        self._numbers, self._names = np.array(scene.numbers), len(nouns.observation.names)
-        self._terms = np.empty(len(nouns.task.terms))  # written by each call
-        self._memory, self._address = self._calls[-1](self._numbers, self._terms)  # of the arguments of judge
+        self._observe, self._share, pack = self._calls
+        self._numbers = np.array(scene.numbers)
+        # Written by each step.
+        self._terms, verdict = np.empty(len(nouns.task.terms)), np.zeros(1, np.int64)
+        self._verdict = verdict.data
+        self._observation = np.empty(len(nouns.observation.names), np.float32)
+        wanted = self._observation[:0], self._observation
+        self._scorings = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
 
-    def step(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> Stepped:
-        """As :meth:`PlainFunctions.step`, in one call of compiled code."""
-        observation = np.empty(self._names, np.float32) if seen else _NOTHING
-        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._address, observation)
-        state, impulse, verdict = np.array(stored), total_impulse(impacts) if impacts else 0.0, simulator.verdict
-        if verdict < 0:
-            raise self._bad_observation(state, time)
-        return state, time, mean, impacts, impulse, observation, self._terms.tolist(), verdict > 0
-
-    def judge(self, state: Array, time: float, torque: float, impulse: float, seen: bool = True) -> Judged:
-        """As :meth:`PlainFunctions.judge`."""
-        observation = np.empty(self._names, np.float32) if seen else _NOTHING
-        over = self._judge(self._address, state, time, torque, impulse, observation)
-        if over < 0:
-            raise self._bad_observation(state, time)
-        return observation, self._terms.tolist(), over > 0
+    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
+        """As :meth:`PlainFunctions.step_and_score`, in one call of compiled code."""
+        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[seen][0])
+        if self._verdict[0] < 0:
+            raise bad_observation(self.nouns.observation, self._observation.tolist())
+        impulse, terms = total_impulse(impacts) if impacts else 0.0, self._terms.tolist()
+        observation, over = self._observation.copy() if seen else _NOTHING, self._verdict[0] > 0
+        reward = checked_reward(self.nouns.task, terms)
+        return _new(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
 
     def observe(self, state: Array, time: float) -> Seen:
         """As :meth:`PlainFunctions.observe`."""
-        observation = np.empty(self._names, dtype=np.float32)
+        observation = np.empty_like(self._observation)
         if not self._observe(self._numbers, state, time, observation):
-            raise self._bad_observation(state, time)
+            raise bad_observation(self.nouns.observation, observation.tolist())
         return observation
 
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:
@@ -174,11 +193,6 @@ class CompiledFunctions:
     def of(self, scene: Scene) -> CompiledFunctions:
         """The same for another scene, without compiling again."""
         return CompiledFunctions(scene, self.nouns, self._calls)
-
-    def _bad_observation(self, state: Array, time: float) -> TaskError:
-        observation = np.empty(self._names, dtype=np.float32)
-        self._observe(self._numbers, state, time, observation)
-        return bad_observation(self.nouns.observation, observation.tolist())
 
 
 Functions = PlainFunctions | CompiledFunctions
@@ -194,16 +208,18 @@ def make_functions(scene: Scene, nouns: Nouns, contact: str) -> Functions:
 
 
 def tried(functions: Functions, state: Array, control_dt: float | None = None) -> None:
-    """Evaluate a user's functions in a start, without torque and impulse, to see wrong types early.
+    """Evaluate a user's plain functions in a start, without torque and impulse, to see wrong types early.
 
     Arithmetic errors are ignored, as perhaps no step begins or ends in this state. With a ``control_dt`` [s] the action
-    that is nearest to zeros is tried too.
+    that is nearest to zeros is tried too. Types of compiled functions are known when they are compiled.
 
     Raises:
         TypeError: a function returns a wrong type.
     """
+    if isinstance(functions, CompiledFunctions):
+        return
     with suppress(*_ARITHMETIC):
-        functions.judge(state, 0.0, 0.0, 0.0, seen=False)
+        functions.score(State(*state.tolist()), 0.0, 0.0)
     if control_dt is None:
         return
     with suppress(*_ARITHMETIC, TaskError):
@@ -249,20 +265,20 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
 
 
 def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
-    """Compiled functions of one state, and the addresses of those that ``judge`` calls."""
-    from jackbox_env.exact.score import act_one, judge, observe_one, pack_judged, row_observer, row_scorer, score_one
+    """Compiled functions of one state, and one that makes a ``Scoring``."""
+    from jackbox_env.exact.score import act_one, observe_one, pack_scoring, row_observer, row_scorer, score_one
     from jackbox_env.jit.compiler import PACKED, address_of, compiled
 
     observe, score = compiled_for(nouns.observation, observe_one), compiled_for(nouns.task, score_one)
     act = None if nouns.action is ACTIONS["torque"] else compiled_for(nouns.action, act_one)
-    addresses = address_of(observe, row_observer), address_of(score, row_scorer)
 
-    def pack(numbers: Array, terms: Array) -> tuple[Array, int]:
-        """Memory with the arguments of ``judge``, and its address."""
-        memory = np.zeros(PACKED)
-        return memory, compiled(pack_judged)(memory, numbers, terms, *addresses)
+    def pack(*arrays: Any) -> tuple[Any, ...]:
+        """The address of a ``Scoring`` with these arrays, and what must live as long."""
+        addresses = address_of(observe, row_observer), address_of(score, row_scorer)
+        memory, everything = np.zeros(PACKED), (*arrays, *addresses)
+        return compiled(pack_scoring)(memory, *everything), memory, arrays, observe, score
 
-    return compiled(judge), observe, act, score, pack
+    return observe, act, pack
 
 
 def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:

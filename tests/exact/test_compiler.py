@@ -16,7 +16,7 @@ from numba.core.registry import cpu_target
 
 from jackbox_env.exact import run
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
-from jackbox_env.exact.restart import fresh, packed, seeded, uniform
+from jackbox_env.exact.pcg64 import fresh, packed, seeded, uniform
 from jackbox_env.jit import compiler
 from jackbox_env.jit.compiler import compiled
 

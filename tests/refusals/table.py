@@ -323,7 +323,7 @@ CHOOSING: Kinds = {
     "scene": SCENES.but(many=out([None] * 3, "cases", "3", "2")),
     **{name: real(8.0, above=0.0).but(inf=None) for name in ("first_impact_error", "penetration")},
     "cases": whole(2, 1, 10_000),
-    "steps": replace(whole(60, 1, 1_000_000), accepted=()),
+    "steps": replace(whole(120, 1, 1_000_000), accepted=()),
     "control_dt": DT,
     "seed": Argument(5, SEED.refused, {"numpy": np.int64(5), "0-d": np.array(5)}),
     "contact": choice("pymunk", ("pymunk", "exact"), none=True),
