@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jackbox_env import Impact, Scene, make_simulator
-from jackbox_env.measure.accuracy import Case, Course, follow, pose_errors, prefix_errors
+from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
@@ -178,3 +178,15 @@ def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     assert ghost[1:] == (1, 0, 1)
     assert (nervous.missed, nervous.extra) == (0, 10 * 4)  # what comes in the last control step might be paired later
     assert coward == ([math.inf], 1, 0, 1)
+
+
+def test_steps_too_long_to_be_played_once_more_give_nan_rather_than_a_wrong_number() -> None:
+    # a second of a box at some 50 rad/s: hundreds of impacts in one step, each multiplies the replay's rounding by 5
+    start = np.zeros(12)
+    start[[3, 5, 8]] = 0.5, 0.3, 60.0
+    case = Case("fast box", Scene(drive=None), start, 20, None, 1.0)
+    exact = make_simulator(case.scene, "exact")
+    course, ends = follow(exact, case), follow(exact, case, at_ends)
+    assert len(course.impacts) > 1000
+    assert np.isnan([course.depth, course.imbalance, ends.imbalance]).all()
+    assert -1.0 < ends.depth < 1e-9
