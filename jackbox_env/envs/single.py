@@ -29,8 +29,9 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
-from jackbox_env.simulators.agent_functions import ControlStep, Functions, Nouns, make_functions, tried
+from jackbox_env.simulators.agent_functions import Functions, make_functions
 from jackbox_env.simulators.fidelity import FURTHER, resolve
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns, tried
 from jackbox_env.tools import checks as check
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
