@@ -40,8 +40,9 @@ from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
 from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
-from jackbox_env.simulators.agent_functions import ControlStep, Nouns, make_functions
+from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns
 from jackbox_env.tools import checks as check
 
 VERSION = 1

@@ -23,9 +23,11 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
-from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns, bad_reward, compiled_for
+from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.simulators.plain_functions import Nouns
+from jackbox_env.simulators.users_functions import compiled_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call

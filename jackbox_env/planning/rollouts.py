@@ -36,7 +36,7 @@ from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
 from jackbox_env.model.tasks import Task, task_of
-from jackbox_env.simulators.agent_functions import bad_reward, compiled_for
+from jackbox_env.simulators.agent_functions import bad_reward
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -47,6 +47,7 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
+from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check
 
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]

@@ -27,7 +27,7 @@ from jackbox_env.model.scene import total
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
-from jackbox_env.simulators import agent_functions as scoring
+from jackbox_env.simulators import users_functions as scoring
 
 EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
