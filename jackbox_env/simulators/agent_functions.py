@@ -45,20 +45,22 @@ class CompiledFunctions:
         self._verdict = verdict.data
         self._observation = np.empty(len(nouns.observation.names), np.float32)
         wanted = self._observation[:0], self._observation
-        self._scorings = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
+        packed = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
+        self._scorings, self._kept = [address for address, *_ in packed], packed
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
 
     def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
         """As :meth:`PlainFunctions.step_and_score`, in one call of compiled code."""
-        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[seen][0])
-        if self._verdict[0] < 0:
+        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[seen])
+        verdict, impulse, terms = self._verdict[0], total_impulse(impacts) if impacts else 0.0, self._terms.tolist()
+        if verdict < 0:
             raise bad_observation(self.nouns.observation, self._observation.tolist())
-        impulse, terms = total_impulse(impacts) if impacts else 0.0, self._terms.tolist()
-        observation, over = self._observation.copy() if seen else NO_OBSERVATION, self._verdict[0] > 0
-        reward = checked_reward(self.nouns.task, terms)
-        return new_step(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
+        seen_now, reward = self._observation.copy() if seen else NO_OBSERVATION, checked_reward(self.nouns.task, terms)
+        return new_step(
+            ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, verdict > 0, seen_now)
+        )
 
     def observe(self, state: Array, time: float) -> Seen:
         """As :meth:`PlainFunctions.observe`."""
