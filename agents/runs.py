@@ -11,7 +11,7 @@ model.zip                the last
 evaluations.npz          the separate evaluations
 time.json                steps and seconds of the process that finished the run
 tensorboard/             curves
-lock                     locked by the process that uses the folder
+lock                     a system lock on it (filelock) ends with the process that uses the folder, however that ends
 """
 
 from __future__ import annotations
@@ -24,26 +24,60 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from agents.files import DamagedFileError, as_value_error, parsing, read_bounded, read_json, report_skipped, unpacked
 from agents.settings import TrainSettings
-from agents.user_code import is_loaded, load, texts_of
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import write_json
+from jackbox_env.tools.reading import (
+    DamagedFileError,
+    as_value_error,
+    parsing,
+    read_bounded,
+    read_json,
+    report_skipped,
+    unpacked,
+)
+from jackbox_env.tools.user_code import is_loaded, load, texts_of
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
-CODE = "code.json"
+CODE, LOCK = "code.json", "lock"
 BEST, MODEL = "best_model.zip", "model.zip"
 TRAINED_BY = "trained_by"  # attribute of a saved model: its settings
 _GROUPS = ("policy", "policy.optimizer")  # of parameters
 Parameters = dict[str, Any]
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
+
+
+class FolderInUseError(RuntimeError):
+    """Another process uses the folder."""
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against every other process, and against a second use within this one.
+
+    Raises:
+        FolderInUseError: another process has locked it.
+        OSError: its lock is a link, or cannot be opened.
+    """
+    from filelock import FileLock, Timeout  # of the extra train, which shipped networks do not need
+
+    lock = FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def installed(packages: Iterable[str]) -> dict[str, str]:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import gymnasium as gym
 
-from agents.user_code import is_object, loaded
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.model.action import ACTIONS, repeat_of
@@ -22,6 +21,7 @@ from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, chosen, explicit, resolve
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.user_code import is_object, loaded
 
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro
@@ -72,7 +72,7 @@ def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
     """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``.
 
     Raises:
-        ValueError: one is not loaded (:func:`agents.user_code.load`).
+        ValueError: one is not loaded (:func:`jackbox_env.tools.user_code.load`).
     """
     named = [name for name in (*NAMES, "scene", "randomize") if is_object(keywords.get(name))]
     return {**keywords, **{name: loaded(keywords[name]) for name in named}}

@@ -19,14 +19,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import as_value_error, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
 from agents.settings import LENGTHS, PER_POLICY, EnvSettings, with_objects
-from agents.user_code import is_object
-from agents.user_code import load as load_code
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import as_value_error, unpacked
+from jackbox_env.tools.user_code import is_object
+from jackbox_env.tools.user_code import load as load_code
 
 # Algorithms by a name that only their models store; PPO's have A2C's too.
 _ALGORITHMS = {

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.files import as_value_error
 from agents.policies.models import load, model_in_env, stored_beside
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
@@ -16,10 +15,11 @@ from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPo
 from agents.policies.value import VALUE
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
 from agents.settings import PER_POLICY, EnvSettings, TrainSettings, with_objects
-from agents.user_code import is_loaded, loaded
-from agents.user_code import load as load_code
 from jackbox_env import Scene, Task
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import as_value_error
+from jackbox_env.tools.user_code import is_loaded, loaded
+from jackbox_env.tools.user_code import load as load_code
 
 Maker = Callable[[dict[str, Any], int], PolicyWithEnv]  # of the environment's keywords and a seed
 SCRIPTED: dict[str, Maker] = {
@@ -50,7 +50,7 @@ def find_policy(
         settings: of the environment that it plays in.
         seed: of what it draws.
         trust: unpickle a model that has no settings.json, and run the code that its settings, its env.json or the name
-            of a function name; without it they must be loaded already (:func:`agents.user_code.load`).
+            of a function name; without it they must be loaded already (:func:`jackbox_env.tools.user_code.load`).
         chosen: keywords of the environment, over those of ``settings`` and of env.json. What a policy observes and does
             (:data:`agents.settings.PER_POLICY`) is chosen for such models and functions alone.
         vecnormalize: file of the statistics of such a model's observations; None: env.json has them.

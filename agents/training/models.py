@@ -12,12 +12,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.files import as_value_error
 from agents.policies.pictures import policy_kwargs
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, run_folder, trusted_settings
 from agents.settings import TrainSettings
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import as_value_error
 
 
 def derived_seed(purpose: str, *numbers: int) -> int:

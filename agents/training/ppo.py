@@ -16,9 +16,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from agents.files import first_line, locked, unpacked
 from agents.policies.network import WEIGHTS
-from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, model_in, read_parameters, read_settings
+from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, locked, model_in, read_parameters, read_settings
 from agents.settings import TrainSettings
 from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
@@ -31,6 +30,7 @@ from agents.training.checkpoints import (
 from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env.sb3 import Durations, JackInBoxVecEnv
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.tools.reading import first_line, unpacked
 
 FRESH_EPISODES = 64  # that judge the trained model
 # Of the rewards, if policy and value share the convolutions of pictures: about 1 in sum, so that neither loss is lost

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from agents import user_code
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
 from agents.policies.models import ENV_KEYWORDS
@@ -18,6 +17,7 @@ from agents.settings import PER_POLICY, EnvSettings
 from agents.training.models import derived_seed
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
 from jackbox_env.simulators.fidelity import KEYWORDS
+from jackbox_env.tools import user_code
 from tests.agents.test_sweep import MINE
 from tests.commands.test_samples import data_of
 from tests.script import script

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from agents.files import locked
-from agents.runs import MODEL
+from agents.runs import MODEL, locked
 from tests.agents import killing
 from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
 

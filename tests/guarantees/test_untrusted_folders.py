@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.files import LOCK, unpacked
 from agents.policies.network import WEIGHTS, read_policy
 from agents.policies.registry import find_policy
 from agents.runners import in_turn
-from agents.runs import EVALUATIONS, read_settings
+from agents.runs import EVALUATIONS, LOCK, read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.sweep import LOG, SWEEP, TABLE, carry_out, new_sweep, read_sweep, run_trial
 from agents.training.best import read_evaluations
 from agents.training.models import load_model, make_ppo, make_vec_env
+from jackbox_env.tools.reading import unpacked
 
 TINY = TrainSettings.suited(action="torque", num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_MEMORY = 10_000_000  # [bytes]

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import DamagedFileError, read_json
 from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_with_layers
 from agents.policies.one_bounce import LandingSettings, read_landing
 from agents.policies.planner import Planner
@@ -25,6 +24,7 @@ from agents.training.models import load_model, make_ppo, make_vec_env
 from jackbox_env import Scene
 from jackbox_env.recording.film import check_film
 from jackbox_env.tools.files import write_json
+from jackbox_env.tools.reading import DamagedFileError, read_json
 from tests.agents.small_run import TINY
 from tests.agents.test_saved_models import HERE
 from tests.agents.untrained import layers_for

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation.returns import evaluate
-from agents.files import read_json
 from agents.policies.network import SHIPPED
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.registry import find_policy
@@ -21,6 +20,7 @@ from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
 from agents.training.ppo import trained_in
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.model.states import Array
+from jackbox_env.tools.reading import read_json
 
 SEED = 1  # decides the starts
 JUDGES = ("coarse", "balanced", "exact")  # fidelities in which each agent is evaluated

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
 from agents.evaluation.returns import Returns, evaluate
-from agents.files import read_json
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
@@ -28,6 +27,7 @@ from agents.training.networks import run_of
 from agents.training.ppo import trained_in
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
 from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
+from jackbox_env.tools.reading import read_json
 
 SEED = 1  # decides the starts
 RESAMPLES = 2000

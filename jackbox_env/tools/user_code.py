@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from agents.files import as_value_error
+from jackbox_env.tools.reading import as_value_error
 
 
 class _Loaded(NamedTuple):
