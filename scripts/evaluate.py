@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from agents.settings import PER_POLICY, EnvSettings, SceneFields, scene_as_json, with_objects
+from agents.settings import PER_POLICY, EnvSettings, SceneFields, scene_as_json
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
 from jackbox_env.tools.files import check_new, check_new_file, new_file, new_folder, write_json
-from jackbox_env.tools.user_code import is_object, load
+from jackbox_env.tools.user_code import is_object, load, with_objects
 
 with suppress(ImportError):  # main names what is missing
     import tyro

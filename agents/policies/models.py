@@ -5,7 +5,6 @@ A model's environment is stored in env.json beside it (:func:`jackbox_env.sb3.sa
 
 from __future__ import annotations
 
-import importlib
 import json
 import pickle
 import sys
@@ -15,17 +14,16 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import LENGTHS, PER_POLICY, EnvSettings, with_objects
+from agents.settings import LENGTHS, PER_POLICY, EnvSettings
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.reading import as_value_error, unpacked
-from jackbox_env.tools.user_code import is_object
+from jackbox_env.tools.user_code import is_object, with_objects
 from jackbox_env.tools.user_code import load as load_code
 
 # Algorithms by a name that only their models store; PPO's have A2C's too.
@@ -52,7 +50,7 @@ class ModelPolicy:
 
     Args:
         model: with ``predict``.
-        wrappers: what :func:`checked_wrappers` returns; they change the observations in this order.
+        wrappers: what ``checked_wrapper`` returns of each; they change the observations in this order.
     """
 
     def __init__(self, model: Any, wrappers: list[dict[str, Any]]) -> None:
@@ -93,7 +91,7 @@ def load(file: Path, algorithm: str | None) -> Any:
     Raises:
         ValueError: the file is damaged, or of something else; or the algorithm is not of Stable-Baselines3.
     """
-    from jackbox_env.sb3.saved_models import PACKAGES
+    from jackbox_env.sb3.saved_models import algorithm_named
 
     with as_value_error(f"{file} is no model of Stable-Baselines3"):
         if algorithm is None:
@@ -102,26 +100,7 @@ def load(file: Path, algorithm: str | None) -> Any:
             if not names:
                 raise ValueError(f"without env.json it must be of {', '.join(_ALGORITHMS.values())}")
             algorithm = f"stable_baselines3:{names[0]}"
-        module, _, name = algorithm.partition(":")
-        if module.split(".")[0] not in PACKAGES:
-            raise ValueError(f"its algorithm must be of {' or '.join(PACKAGES)}, got {check.shown(algorithm)}")
-        return getattr(importlib.import_module(module), name).load(file, device="cpu")
-
-
-def stored_beside(file: Path) -> dict[str, Any] | None:
-    """What env.json beside a model has about it; None if that has no entry for it.
-
-    A model that was renamed has the only entry, if no other model is in its folder.
-
-    Raises:
-        ValueError: env.json is damaged.
-    """
-    from jackbox_env.sb3.saved_models import ENV, read_stored
-
-    entries = read_stored(file.parent / ENV)
-    if len(entries) == 1 and not (file.parent / next(iter(entries))).exists():
-        return next(iter(entries.values())) if list(file.parent.glob(f"*{file.suffix}")) == [file] else None
-    return entries.get(file.name)
+        return algorithm_named(algorithm).load(file, device="cpu")
 
 
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:
@@ -156,6 +135,9 @@ def model_in_env(
     Raises:
         ValueError: the model does not fit, or something is missing; the message names the option that would help.
     """
+    from jackbox_env.sb3 import make_sb3_vec_env
+    from jackbox_env.sb3.saved_models import checked_wrapper, wrapped
+
     if stored is not None and vecnormalize is not None:
         raise ValueError(f"{file} is described by env.json beside it: leave --vecnormalize out, or move the model")
     if stored is None:
@@ -177,41 +159,18 @@ def model_in_env(
     with as_value_error(f"{file} cannot be played as env.json or --env describe"):
         load_code(filter(is_object, stored["env"].values()))
         keywords = with_objects({**PLAIN, **stored["env"], **settings.changed, **chosen})
-        wrappers = [checked_wrapper(one) for one in stored["wrappers"]]
-        env = gym.make("JackInBox-v0", **{**settings.env_settings, **keywords})
-        env.close()
-        spaces: Any = env.observation_space, env.action_space
-        shape: tuple[int, ...] = spaces[0].shape
-        if len(shape) == 1:
-            for one in wrappers:
-                shape = (shape[0] * one.get("stack", 1),)
-                if one.get("mean", np.empty(shape)).shape != shape:
-                    raise ValueError(
-                        f"mean and variance must be {shape[0]} numbers, as are observed, got {one['mean']}"
-                    )
-        elif wrappers:
-            raise ValueError("its observations are pixels, which env.json cannot stack or scale")
+        environments = wrapped(make_sb3_vec_env(1, **{**settings.env_settings, **keywords}), stored["wrappers"])
+        shape, actions = environments.observation_space.shape or (), environments.action_space
         known = model.observation_space.shape
         if len(shape) > 1 and known == (shape[2], *shape[:2]):  # as Stable-Baselines3 transposes them
             known = shape
-        wanted, got = (shape, spaces[1]), (known, model.action_space)
+        wanted, got = (shape, actions), (known, model.action_space)
         if got != wanted:
             nouns = "use --env observation=..., --env action=... and --env action_repeat=... as in its training"
             if len(shape) == len(known) == 1 and known[0] > shape[0] and known[0] % shape[0] == 0:
                 nouns = f"if VecFrameStack stacked them, save it by jackbox_env.sb3.save_model; else {nouns}"
             raise ValueError(f"it has observations {got[0]} and {got[1]}, got {wanted[0]} and {wanted[1]}: {nouns}")
-    return PolicyWithEnv(ModelPolicy(model, wrappers), keywords)
-
-
-def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
-    """A wrapper as env.json has it, its statistics as arrays; raises an exception if it is something else."""
-    if "stack" in wrapper:
-        return {"stack": check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)}
-    mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
-    if mean.ndim != 1 or variance.shape != mean.shape or not (np.isfinite(mean).all() and (variance >= 0.0).all()):
-        raise ValueError("mean and variance must be as many numbers as are observed, at least 0 in the variance")
-    clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
-    return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
+    return PolicyWithEnv(ModelPolicy(model, [*map(checked_wrapper, stored["wrappers"])]), keywords)
 
 
 def _is_normalized(model: Any) -> bool:

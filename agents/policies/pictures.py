@@ -10,14 +10,6 @@ import numpy as np
 from agents.policies.scripted import PolicyWithEnv
 from agents.settings import TrainSettings
 from jackbox_env import JackInBoxEnv
-from jackbox_env.model.action import action_of
-
-
-def policy_kwargs(settings: TrainSettings) -> dict[str, Any]:
-    """Keyword arguments of Stable-Baselines3's policy: its layers, and the first deviation of continuous actions."""
-    layers = {"net_arch": list(settings.hidden_units)}
-    continuous = action_of(settings.nouns["action"]).size
-    return {**layers, "log_std_init": settings.initial_log_std} if continuous else layers
 
 
 def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> PolicyWithEnv:
@@ -32,7 +24,7 @@ def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> Po
     env = JackInBoxEnv(**settings.env_settings)
     height, width, stack = env.observation_space.shape or ()
     space = Box(0, 255, (stack, height, width), np.uint8)  # as torch has it; predict transposes
-    policy = ActorCriticCnnPolicy(space, env.action_space, lambda _: 0.0, **policy_kwargs(settings))
+    policy = ActorCriticCnnPolicy(space, env.action_space, lambda _: 0.0, **settings.arguments["policy_kwargs"])
     policy.load_state_dict(dict(parameters))
     policy.set_training_mode(False)
     policy.settings = settings  # type: ignore[assignment]

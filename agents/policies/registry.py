@@ -6,19 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.policies.models import load, model_in_env, stored_beside
+from agents.policies.models import load, model_in_env
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.pictures import picture_policy
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
-from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
-from agents.settings import PER_POLICY, EnvSettings, TrainSettings, with_objects
+from agents.runs import SETTINGS, TRAINED_BY, read_settings, run_folder, trusted_settings
+from agents.settings import PER_POLICY, EnvSettings, TrainSettings
 from jackbox_env import Scene, Task
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.model_files import model_in, read_parameters
 from jackbox_env.tools.reading import as_value_error
-from jackbox_env.tools.user_code import is_loaded, loaded
+from jackbox_env.tools.user_code import is_loaded, loaded, with_objects
 from jackbox_env.tools.user_code import load as load_code
 
 Maker = Callable[[dict[str, Any], int], PolicyWithEnv]  # of the environment's keywords and a seed
@@ -75,25 +76,49 @@ def find_policy(
         raise FileNotFoundError(
             f"a policy must be one of {known}, or a run folder, a model file or file.py:function, got {name!r}"
         )
-    exported = (Path(name) / WEIGHTS).is_file()
-    file = Path(name) if exported else model_in(Path(name))
-    folder = run_folder(file)
-    settings_of_run = trusted_settings(folder, trust) if folder else None
-    if exported:
-        return _read(file)
-    if settings_of_run is not None:
-        return _network(file, lambda: (settings_of_run, read_parameters(file)["policy"]))
-    if not trust:
-        raise FileNotFoundError(
-            f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
-        )
+    if (Path(name) / WEIGHTS).is_file():
+        if folder := run_folder(Path(name)):
+            trusted_settings(folder, trust)
+        return _read(Path(name))
+    file = model_in(Path(name))
+    if run_folder(file):
+        return policy_of_run(file, trust)
+    from jackbox_env.sb3.saved_models import ENV, stored_beside
+
     stored = stored_beside(file)
+    if not trust:
+        without = (
+            f"; and no {ENV} beside it describes its environment: use --env, and --vecnormalize FILE.pkl if it was "
+            "trained under VecNormalize, or save it by jackbox_env.sb3.save_model"
+        )
+        raise ValueError(
+            f"{file} can run code, as it is unpickled: if you trust its author, use --trust{'' if stored else without}"
+        )
     model = load(file, stored["algorithm"] if stored else None)
     trained_by = getattr(model, TRAINED_BY, None)
     if trained_by is None or stored or vecnormalize or chosen.keys() & {*PER_POLICY}:
         return model_in_env(file, model, stored, settings, chosen, vecnormalize)
     load_code(TrainSettings.of(trained_by).objects.values())
     return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
+
+
+def policy_of_run(path: Path, trust: bool) -> PolicyWithEnv:
+    """The policy of a run folder, or of a model file in one; nothing is unpickled.
+
+    Args:
+        path: of the folder or the file.
+        trust: run the code that its settings name.
+
+    Raises:
+        FileNotFoundError: there is no model, or no run folder.
+        ValueError: a file is damaged, or the model does not fit the settings.
+    """
+    file = model_in(path)
+    folder = run_folder(file)
+    if folder is None:
+        raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
+    settings = trusted_settings(folder, trust)
+    return _network(file, lambda: (settings, read_parameters(file)["policy"]))
 
 
 def with_chosen_env(name: str) -> bool:

@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from agents.policies.network import WEIGHTS
-from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, locked, model_in, read_parameters, read_settings
+from agents.runs import SETTINGS, TIME, describe, locked, read_settings
 from agents.settings import TrainSettings
 from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
@@ -29,7 +29,9 @@ from agents.training.checkpoints import (
 )
 from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env.sb3 import Durations, JackInBoxVecEnv
+from jackbox_env.sb3.saved_models import write_entries
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.tools.model_files import MODEL, is_whole, model_in, read_parameters
 from jackbox_env.tools.reading import first_line, unpacked
 
 FRESH_EPISODES = 64  # that judge the trained model
@@ -70,6 +72,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train it further, resume "
                 "it with more total steps"
             )
+        write_entries(folder, settings.named, settings.arguments)
         model = _resumed(settings, folder)
         done = model.num_timesteps
         print(f"Continuing after {done:,} steps" if done else "Starting from the beginning")

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from agents.runs import MODEL, locked
+from agents.runs import locked
+from jackbox_env.tools.model_files import MODEL
 from tests.agents import killing
 from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
 

@@ -221,9 +221,17 @@ BESIDE = "env.json: model.zip must have algorithm (str), env (dict), missing (li
 MODELS = [
     Refusal(
         lambda _: find_policy("model.zip", HERE),
-        FileNotFoundError,
-        "model.zip has no settings.json beside it to rebuild the model from; if you trust its author, use --trust",
+        ValueError,
+        "model.zip can run code, as it is unpickled: if you trust its author, use --trust",
         Subject(folder, lambda path: fill(path, stored()), contents),
+    ),
+    Refusal(
+        lambda _: find_policy("best_model.zip", HERE),
+        ValueError,
+        "best_model.zip can run code, as it is unpickled: if you trust its author, use --trust; and no env.json beside "
+        "it describes its environment: use --env, and --vecnormalize FILE.pkl if it was trained under VecNormalize, "
+        "or save it by jackbox_env.sb3.save_model",
+        files({"best_model.zip": "a"}),
     ),
     Refusal(
         lambda _: find_policy("mine.py:none", HERE, trust=True),
