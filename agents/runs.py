@@ -37,7 +37,6 @@ from jackbox_env.tools.user_code import CODE, load_trusted, texts_of
 
 SETTINGS, RUN, EVALUATIONS, TIME = "settings.json", "run.json", "evaluations.npz", "time.json"
 LOCK = "lock"
-TRAINED_BY = "trained_by"  # attribute of a saved model: its settings
 _LARGEST_SETTINGS = 1_000_000  # [bytes]
 PACKAGES = ("jackbox", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
 

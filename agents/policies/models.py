@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import pickle
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from inspect import signature
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import LENGTHS, PER_POLICY, EnvSettings
+from agents.settings import LENGTHS, PER_POLICY, EnvSettings, TrainSettings
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
@@ -81,26 +81,44 @@ class ModelPolicy:
         return actions[0] if np.ndim(observation) == 1 else actions, Memory(frames, recurrent)
 
 
-def load(file: Path, algorithm: str | None) -> Any:
-    """A model, which is unpickled.
+def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> PolicyWithEnv:
+    """The convolutional network with these parameters of a training, in its environment.
+
+    Raises:
+        RuntimeError: they are not those of such a network.
+    """
+    from jackbox_env.sb3 import make_sb3_vec_env
+    from jackbox_env.sb3.saved_models import make_model
+
+    policy: Any = make_model(make_sb3_vec_env(1, **settings.env_settings), settings.arguments).policy
+    policy.load_state_dict(parameters)
+    policy.settings = settings
+    return PolicyWithEnv(policy, settings.nouns)
+
+
+def load(file: Path, stored: dict[str, Any] | None, trust: bool) -> Any:
+    """A model, which is unpickled unless it is stored with the arguments that it is made from.
 
     Args:
         file: that Stable-Baselines3 has saved.
-        algorithm: ``module:class``; None: one of ``_ALGORITHMS``, by what the file stores.
+        stored: what env.json has about it; None: its algorithm is one of ``_ALGORITHMS``, by what the file has.
+        trust: as of :func:`jackbox_env.sb3.load_model`.
 
     Raises:
         ValueError: the file is damaged, or of something else; or the algorithm is not of Stable-Baselines3.
     """
-    from jackbox_env.sb3.saved_models import algorithm_named
+    from jackbox_env.sb3.saved_models import algorithm_named, load_model
 
+    if stored and "arguments" in stored:
+        return load_model(file, trust=trust)[0]
     with as_value_error(f"{file} is no model of Stable-Baselines3"):
-        if algorithm is None:
-            stored = json.loads(unpacked(file.read_bytes(), file.name)["data"])
-            names = [name for key, name in _ALGORITHMS.items() if key in stored]
+        if stored is None:
+            data = json.loads(unpacked(file.read_bytes(), file.name)["data"])
+            names = [name for key, name in _ALGORITHMS.items() if key in data]
             if not names:
                 raise ValueError(f"without env.json it must be of {', '.join(_ALGORITHMS.values())}")
-            algorithm = f"stable_baselines3:{names[0]}"
-        return algorithm_named(algorithm).load(file, device="cpu")
+            stored = {"algorithm": f"stable_baselines3:{names[0]}"}
+        return algorithm_named(stored["algorithm"]).load(file, device="cpu")
 
 
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:

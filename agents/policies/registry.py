@@ -6,15 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.policies.models import load, model_in_env
+from agents.policies.models import load, model_in_env, picture_policy
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.pictures import picture_policy
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
-from agents.runs import SETTINGS, TRAINED_BY, read_settings, run_folder, trusted_settings
-from agents.settings import PER_POLICY, EnvSettings, TrainSettings
+from agents.runs import read_settings, run_folder, trusted_settings
+from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.model_files import model_in, read_parameters
@@ -86,7 +85,7 @@ def find_policy(
     from jackbox_env.sb3.saved_models import ENV, stored_beside
 
     stored = stored_beside(file)
-    if not trust:
+    if not (trust or (stored and "arguments" in stored)):
         without = (
             f"; and no {ENV} beside it describes its environment: use --env, and --vecnormalize FILE.pkl if it was "
             "trained under VecNormalize, or save it by jackbox_env.sb3.save_model"
@@ -94,12 +93,7 @@ def find_policy(
         raise ValueError(
             f"{file} can run code, as it is unpickled: if you trust its author, use --trust{'' if stored else without}"
         )
-    model = load(file, stored["algorithm"] if stored else None)
-    trained_by = getattr(model, TRAINED_BY, None)
-    if trained_by is None or stored or vecnormalize or chosen.keys() & {*PER_POLICY}:
-        return model_in_env(file, model, stored, settings, chosen, vecnormalize)
-    load_code(TrainSettings.of(trained_by).objects.values())
-    return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
+    return model_in_env(file, load(file, stored, trust), stored, settings, chosen, vecnormalize)
 
 
 def policy_of_run(path: Path, trust: bool) -> PolicyWithEnv:
@@ -114,11 +108,12 @@ def policy_of_run(path: Path, trust: bool) -> PolicyWithEnv:
         ValueError: a file is damaged, or the model does not fit the settings.
     """
     file = model_in(path)
-    folder = run_folder(file)
-    if folder is None:
-        raise FileNotFoundError(f"{file} has no {SETTINGS} beside it to rebuild the model from")
-    settings = trusted_settings(folder, trust)
-    return _network(file, lambda: (settings, read_parameters(file)["policy"]))
+    settings = trusted_settings(run_folder(file) or file.parent, trust)
+    with as_value_error(f"{file} is no model of its settings"):
+        parameters = read_parameters(file)["policy"]
+        if settings.pixels:
+            return picture_policy(settings, parameters)
+        return NetworkPolicy(settings, layers_of(parameters)).in_env
 
 
 def with_chosen_env(name: str) -> bool:
@@ -135,19 +130,6 @@ def runs_code(name: str) -> bool:
 def is_function(name: str) -> bool:
     """Whether a policy is a function in a file, ``file.py:function``."""
     return name.rpartition(":")[0].endswith(".py") and not Path(name).exists()
-
-
-def _network(file: Path, read: Callable[[], tuple[TrainSettings, Any]]) -> PolicyWithEnv:
-    """The network in a model file, from its settings and parameters; nothing is unpickled here.
-
-    Raises:
-        ValueError: the file is damaged, or no model of these settings.
-    """
-    with as_value_error(f"{file} is no model of its settings"):
-        settings, parameters = read()
-        if settings.pixels:
-            return picture_policy(settings, parameters)
-        return NetworkPolicy(settings, layers_of(parameters)).in_env
 
 
 def _read(folder: Path) -> PolicyWithEnv:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +10,6 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.runs import TRAINED_BY
 from agents.settings import TrainSettings
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.sb3.saved_models import make_model
@@ -44,10 +42,7 @@ def try_out(settings: TrainSettings) -> None:
 def make_ppo(settings: TrainSettings, environments: VecEnv) -> PPO:
     """An untrained PPO model of these settings.
 
-    A saved model loads without this project by ``stable_baselines3.PPO.load``. It stores the settings as
-    ``trained_by``.
+    A saved model loads without this project by ``stable_baselines3.PPO.load``.
     """
     schedule = LinearSchedule(settings.learning_rate, 0.0, 1.0)  # of SB3, so that the model loads anywhere
-    model = make_model(PPO, environments, settings.arguments, learning_rate=schedule, seed=settings.seed)
-    setattr(model, TRAINED_BY, dataclasses.asdict(settings))  # saved with the model
-    return model
+    return make_model(environments, settings.arguments, learning_rate=schedule, seed=settings.seed)

@@ -25,7 +25,7 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import replacing, write_json
 from jackbox_env.tools.model_files import BEST, MODEL, check_sizes, model_in, read_parameters
 from jackbox_env.tools.reading import as_value_error
-from jackbox_env.tools.user_code import load_trusted, names_in, with_objects
+from jackbox_env.tools.user_code import is_object, load_trusted, with_objects
 
 with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     from stable_baselines3 import PPO
@@ -137,25 +137,21 @@ def load_model(
     if missing := {*map(str, stored["missing"])} - keywords.keys():
         name = min(missing)
         raise ValueError(f"{file} was trained with a {name} that {ENV} cannot store: load it with {name}=...")
-    load_trusted(file.parent, names_in(keywords).values(), trust)
+    load_trusted(file.parent, filter(is_object, keywords.values()), trust)
     with as_value_error(f"{file} cannot be played as {ENV} describes"):
         environments = wrapped(make_sb3_vec_env(num_envs, **with_objects(keywords)), stored["wrappers"])
     with as_value_error(f"{file} is no model of {ENV} beside it"):
-        kind = algorithm_named(stored["algorithm"])
         if "arguments" not in stored:
-            return kind.load(file, env=environments, device="cpu"), environments
-        if kind is not PPO:
-            raise ValueError(f"only PPO is stored with arguments, got {check.shown(stored['algorithm'])}")
-        model = make_model(PPO, environments, _checked(stored["arguments"], environments))
+            return algorithm_named(stored["algorithm"]).load(file, env=environments, device="cpu"), environments
+        model = make_model(environments, _checked(stored["arguments"], environments))
         model.set_parameters(read_parameters(file), device="cpu")
     return model, environments
 
 
-def make_model(kind: type[PPO], environments: VecEnv, arguments: dict[str, Any], **more: Any) -> PPO:
-    """An untrained model on the CPU, whose batches have at most the samples of a rollout."""
-    samples = arguments["n_steps"] * environments.num_envs
-    sizes = {"batch_size": min(arguments["batch_size"], samples)}
-    return kind(env=environments, device="cpu", **{**arguments, **sizes, **more})
+def make_model(environments: VecEnv, arguments: dict[str, Any], **more: Any) -> PPO:
+    """An untrained PPO model on the CPU, whose batches have at most the samples of a rollout."""
+    size = min(arguments["batch_size"], arguments["n_steps"] * environments.num_envs)
+    return PPO(env=environments, device="cpu", **{**arguments, "batch_size": size, **more})
 
 
 def _checked(arguments: dict[str, Any], environments: VecEnv) -> dict[str, Any]:

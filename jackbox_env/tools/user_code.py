@@ -90,18 +90,14 @@ def load_trusted(folder: Path, names: Iterable[str], trust: bool) -> None:
         load(names, {str(path): str(text) for path, text in dict(texts).items()})
 
 
-def names_in(keywords: Mapping[str, Any]) -> dict[str, str]:
-    """The keywords of an environment that name an object of a user."""
-    return {name: keywords[name] for name in _NAMED if is_object(keywords.get(name))}
-
-
 def with_objects(keywords: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``.
 
     Raises:
         ValueError: one is not loaded (:func:`load`).
     """
-    return {**keywords, **{name: loaded(value) for name, value in names_in(keywords).items()}}
+    named = [name for name in _NAMED if is_object(keywords.get(name))]
+    return {**keywords, **{name: loaded(keywords[name]) for name in named}}
 
 
 def texts_of(names: Iterable[str]) -> dict[str, str]:

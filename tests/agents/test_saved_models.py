@@ -22,7 +22,7 @@ from agents.evaluation import returns
 from agents.evaluation.returns import evaluate
 from agents.policies.models import keywords_of
 from agents.policies.registry import find_policy
-from agents.settings import EnvSettings, TrainSettings
+from agents.settings import EnvSettings
 from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env import Action, Drive, Observation, Scene, Task
 from jackbox_env.sb3 import Durations, load_model, make_sb3_vec_env, save_model
@@ -239,7 +239,7 @@ def test_a_model_plays_if_it_is_trusted_and_notes_that_it_is_not_described(tmp_p
 # -- loaded where there is no checkout of this project -----------------------------------------------------------------
 
 
-def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_path: Path) -> None:
+def test_a_saved_model_loads_without_this_project(tmp_path: Path) -> None:
     settings = dataclasses.replace(TINY, action_repeat=4)
     model = make_ppo(settings, make_vec_env(settings.env_settings, 2, 0))
     model.save(tmp_path / "model.zip")
@@ -251,9 +251,5 @@ def test_a_saved_model_loads_without_this_project_and_stores_its_settings(tmp_pa
         loaded = PPO.load(tmp_path / "model.zip")
     assert loaded.lr_schedule(0.5) == 0.5 * TINY.learning_rate
     assert loaded.predict(np.zeros((3, 10), np.float32), deterministic=True)[0].tolist() == actions.tolist()
-    again: Any = PPO.load(tmp_path / "model.zip", device="cpu")
-    assert TrainSettings.of(again.trained_by) == settings
-    for chosen in ({}, {"episode_steps": 100}):  # its nouns are not chosen
-        assert find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen=chosen).keywords == settings.nouns
     for remaining in (1.0, 0.25, 0.0):  # it falls to 0
         assert model.lr_schedule(remaining) == pytest.approx(TINY.learning_rate * remaining, abs=1e-18)

@@ -96,49 +96,63 @@ def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values
         find_policy(str(folder / "model.zip"), EnvSettings())
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"policy_kwargs": {"net_arch": [5000, 5000]}}, "hidden_units .* 20,000,000 weights"),
-        ({"policy_kwargs": {"net_arch": [1] * 33}}, "hidden_units .* got 33"),
-        ({"policy_kwargs": {"net_arch": "x"}}, "net_arch must be a whole number .* got 'x'"),
-        ({"policy_kwargs": {"net_arch": [4], "features_extractor_class": "x"}}, "policy_kwargs accepts only"),
-        ({"n_steps": 10**9}, r"num_envs \* rollout_steps .* got 1,000,000,000"),
-        ({"n_steps": 1.5}, "n_steps must be a whole number"),
-        ({"batch_size": "x"}, "TypeError"),
-        ({"tensorboard_log": "/"}, "arguments accepts only .* got 'tensorboard_log'"),
-    ],
-)
-def test_absurd_arguments_are_refused_before_a_model_is_made(saved: Path, change: dict[str, Any], reason: str) -> None:
-    write_entries(saved, TINY.named, {**TINY.arguments, **change})
-    match = f"^{saved}/model.zip is no model of env.json beside it: .*{reason}"
-    with little_memory(), pytest.raises(ValueError, match=match) as refusal:
-        load_model(saved)
-    assert "\n" not in str(refusal.value)
+def with_arguments(**change: Any) -> dict[str, Any]:
+    return {"arguments": {**TINY.arguments, **change}}
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"algorithm": "stable_baselines3.common.save_util:load_from_pkl"}, "algorithm must be of stable_baselines3"),
-        ({"algorithm": "os:system"}, "algorithm must be of stable_baselines3 or sb3_contrib, got 'os:system'"),
-        ({"algorithm": "stable_baselines3:SAC"}, "only PPO is stored with arguments, got 'stable_baselines3:SAC'"),
+        (with_arguments(policy_kwargs={"net_arch": [5000, 5000]}), "hidden_units .* 20,000,000 weights"),
+        (with_arguments(policy_kwargs={"net_arch": [1] * 33}), "hidden_units .* got 33"),
+        (with_arguments(policy_kwargs={"net_arch": "x"}), "net_arch must be a whole number .* got 'x'"),
+        (
+            with_arguments(policy_kwargs={"net_arch": [4], "features_extractor_class": "x"}),
+            "policy_kwargs accepts only",
+        ),
+        (with_arguments(n_steps=10**9), r"num_envs \* rollout_steps .* got 1,000,000,000"),
+        (with_arguments(n_steps=1.5), "n_steps must be a whole number"),
+        (with_arguments(batch_size="x"), "is no model of env.json beside it: TypeError"),
+        (with_arguments(tensorboard_log="/"), "arguments accepts only .* got 'tensorboard_log'"),
+        ({"arguments": 5}, "is no model of env.json beside it: TypeError"),
         ({"env": {"observation": "pixels-4096x4096x4095"}}, "Pixels must be at most"),
         ({"env": {"observation": "mine.py:seen"}}, "runs code .'mine.py:seen'.: if you trust its author"),
         ({"env": {"torques": 1}}, "make_sb3_vec_env accepts only"),
         ({"wrappers": [{"stack": 10**9}]}, "stack must be a whole number from 1 to 1000"),
-        ({"arguments": 5}, "is no model of env.json beside it: TypeError"),
         ({"env": {}, "missing": ["task"]}, "was trained with a task that env.json cannot store: load it with task="),
     ],
 )
-def test_an_untrusted_description_is_refused(saved: Path, change: dict[str, Any], reason: str) -> None:
-    entries = json.loads((saved / "env.json").read_text())
-    entries["model.zip"] |= change
-    (saved / "env.json").write_text(json.dumps(entries))
+def test_an_untrusted_description_is_refused_before_anything_is_made(
+    saved: Path, change: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(saved)
+    (saved / "env.json").write_text(json.dumps({"model.zip": {**entry_in(saved), **change}}))
     (saved / "mine.py").write_text("import pathlib\npathlib.Path('ran').touch()\nseen = None")
-    with little_memory(), pytest.raises(ValueError, match=reason):
-        load_model(saved)
-    assert not Path("ran").exists()
+    (saved / "settings.json").unlink()
+    for load in (load_model, evaluated):
+        with little_memory(), pytest.raises(ValueError, match=reason) as refusal:
+            load(saved / "model.zip")
+        assert "\n" not in str(refusal.value)
+    assert not (saved / "ran").exists()
+
+
+@pytest.mark.parametrize("algorithm", ["stable_baselines3.common.save_util:load_from_pkl", "os:system"])
+def test_an_algorithm_is_of_stable_baselines3_even_if_it_is_trusted(saved: Path, algorithm: str) -> None:
+    entry = {"algorithm": algorithm, "env": {}, "missing": [], "wrappers": []}
+    (saved / "env.json").write_text(json.dumps({"model.zip": entry}))
+    with pytest.raises(ValueError, match=f"algorithm must be of stable_baselines3 or sb3_contrib, got '{algorithm}'"):
+        load_model(saved / "model.zip", trust=True)
+
+
+def entry_in(folder: Path, name: str = "model.zip") -> dict[str, Any]:
+    """What env.json has about a model."""
+    entry: dict[str, Any] = json.loads((folder / "env.json").read_text())[name]
+    return entry
+
+
+def evaluated(path: Path, trust: bool = False) -> Any:
+    """What evaluates a model file."""
+    return find_policy(str(path), EnvSettings(), trust=trust)
 
 
 # -- model files ------------------------------------------------------------------------------------------------------
@@ -249,9 +263,8 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     assert not witness.exists()
     (shared / "settings.json").unlink()
     save_model(model, shared / "described.zip")  # for its entry
-    entry = json.loads((shared / "env.json").read_text())["described.zip"]
-    (shared / "env.json").write_text(json.dumps({"model.zip": entry}))
-    for load in (load_model, lambda path, trust=False: find_policy(str(path), EnvSettings(), trust=trust)):
+    (shared / "env.json").write_text(json.dumps({"model.zip": entry_in(shared, "described.zip")}))
+    for load in (load_model, evaluated):
         with pytest.raises(ValueError, match="model.zip can run code, as it is unpickled: if you trust its author"):
             load(shared / "model.zip")
         assert not witness.exists()
@@ -275,7 +288,8 @@ def test_what_becomes_code_after_a_sweep_was_read_does_not_run(saved: Path, monk
     (Path("sweep") / SWEEP).write_text(json.dumps(record))
     _, code = read_sweep(Path("sweep"))
     Path("f.py:act").rmdir()
-    Path("settings.json").unlink()
+    for name in ("settings.json", "env.json"):
+        Path(name).unlink()
     for trial, said in zip(trials, ("f.py:act is code, which runs only with --trust", "use --trust"), strict=True):
         with pytest.raises((ValueError, FileNotFoundError), match=said):
             run_trial(Path("sweep"), code, trial)

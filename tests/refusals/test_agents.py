@@ -252,7 +252,7 @@ RUNS = [
     Refusal(
         lambda _: policy_of_run(Path("a/model.zip"), trust=False),
         FileNotFoundError,
-        "a/model.zip has no settings.json beside it to rebuild the model from",
+        "a has no settings.json",
         files({"a/model.zip": "a"}),
     ),
     Refusal(
