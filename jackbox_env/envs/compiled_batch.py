@@ -445,7 +445,7 @@ class ExactBatch:
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:
-        """Nothing: environments that render are stepped one by one, see ``single.py``."""
+        """Nothing: environments that render are stepped one by one, see ``one_by_one.py``."""
         return ()
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
@@ -24,9 +24,6 @@ from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, chec
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
-
-if TYPE_CHECKING:
-    pass
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
 
