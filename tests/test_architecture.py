@@ -24,6 +24,7 @@ ORDER = """
     mechanics
     jit
     exact
+    gpu
     simulators
     render
     planning

@@ -56,10 +56,10 @@ def cos_sin(angle: float) -> tuple[float, float]:
         residue = (rest - near) + over
         c, s = cos_sin_within(near)
         return c - residue * s, (s + residue * c) * math.copysign(1.0, angle)
-    return unresolved(angle)
+    return c_library_cos_sin(angle)
 
 
-def unresolved(angle: float) -> tuple[float, float]:
+def c_library_cos_sin(angle: float) -> tuple[float, float]:
     """The C library's cosine and sine of an angle [rad] that float64 does not resolve; NaN if it is not finite."""
     if -math.inf < angle < math.inf:
         return math.cos(angle), math.sin(angle)
