@@ -6,13 +6,15 @@ It imports no other module of this package, so that it also runs where there is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
 
 Launch = Callable[[int, int], None]  # plays rows, by the address of a call and their number
 BLOCK = 64  # threads
+PLACE = "cuda"  # of PyTorch's tensors
 _DONE = 0  # of ``exact.workspace.Status``
 
 
@@ -77,13 +79,14 @@ def packed(*fields: torch.Tensor | float) -> torch.Tensor:
         if isinstance(field, int):
             words.append(field)
         elif isinstance(field, float):
-            words.append(torch.tensor(field, dtype=torch.float64).view(torch.int64).item())
+            words += torch.tensor([field], dtype=torch.float64).view(torch.int64).tolist()
         else:
             strides = [stride * field.element_size() for stride in field.stride()]
             words += [0, 0, math.prod(field.shape), field.element_size(), field.data_ptr(), *field.shape, *strides]
     return torch.tensor(words, dtype=torch.int64)
 
 
+@cache
 def launcher(ptx: str, block: int = BLOCK) -> Launch:
     """A function that plays rows on the present GPU by PTX, and waits for them.
 
@@ -94,7 +97,8 @@ def launcher(ptx: str, block: int = BLOCK) -> Launch:
     try:
         from cuda.core import Device, LaunchConfig, ObjectCode, Stream, launch
     except ImportError as error:
-        raise ImportError(f'device="cuda" needs cuda-core, pip install "jackbox[gpu]": {error}') from error
+        sentence = 'device="cuda" needs cuda-core, the extra \'gpu\': in a checkout of jackbox, pip install -e ".[gpu]"'
+        raise ImportError(sentence) from error
     if not torch.cuda.is_available():
         raise RuntimeError('device="cuda" needs a GPU of NVIDIA and a driver for CUDA 12 or newer, PyTorch finds none')
     Device(torch.cuda.current_device()).set_current()
@@ -114,6 +118,11 @@ def launcher(ptx: str, block: int = BLOCK) -> Launch:
     return played
 
 
-def on_gpu(arrays: Sequence[Any]) -> list[torch.Tensor]:
-    """Arrays, or tensors of any library by DLPack, as tensors on the present GPU; those there are not copied."""
-    return [torch.from_dlpack(one).to("cuda") for one in arrays]
+def tensor(array: Any) -> torch.Tensor:
+    """A float64 tensor on the present GPU of an array, or of any library's by DLPack; not copied if it is there."""
+    return torch.utils.dlpack.from_dlpack(array).to(PLACE, torch.float64)
+
+
+def stacked(first: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
+    """First and last states, shape (N, 2, 12)."""
+    return torch.stack([first, last], dim=1)

@@ -25,6 +25,9 @@ _LAYOUT = "e-p6:32:32-i64:64-i128:128-i256:256-v16:16-v32:32-n16:32:64"
 _ROUNDED = {"add", "sub", "mul", "div", "sqrt", "rcp"}  # operations on float64 with .rn
 # and those that are exact
 _EXACT = {"abs", "neg", "copysign", "mov", "ld", "st", "selp", "setp", "min", "max", "cvt"}
+_KNOWN = re.compile(
+    r"llvm\.(nvvm|sqrt|fabs|copysign|floor|ceil|trunc|[su]m(ax|in)|abs|mem(set|cpy|move)|lifetime|assume)\b"
+)
 _OF_64_BITS = re.compile(r"^\s+(?:@!?%p\d+\s+)?([a-z]\w*)(\.[a-z0-9_.:]*)?\s", re.MULTILINE)
 
 _KERNEL = """
@@ -82,7 +85,7 @@ def ptx_of(task: str, chip: str = "sm_80") -> str:
         )
         if stored and _checksum(name, stored) == checksum:
             return stored
-    code = intermediate_code(play, _kinds(), **SUBSTITUTES, task_terms=TASKS[task].values)
+    code = intermediate_code(play, kinds(), **SUBSTITUTES, task_terms=TASKS[task].values)
     ptx = checked(*code, chip)
     with contextlib.suppress(OSError):  # then it is compiled anew in each process
         files.write_text(cache_folders()[-1] / name, f"{ptx}// {_checksum(name, ptx)}")
@@ -95,13 +98,14 @@ def ptx_with(users: UsersFunctions, chip: str = "sm_80") -> str:
     Raises:
         TypeError: its functions need more than arithmetic.
     """
-    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, _kinds()), chip)
+    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds()), chip)
 
 
-def _kinds() -> tuple[Any, ...]:
+def kinds() -> tuple[Any, ...]:
+    """Numba's types of the arguments of :func:`jackbox_env.gpu.row.play`."""
     from numba import typeof
 
-    return tuple(map(typeof, arguments()))  # type: ignore[no-untyped-call]
+    return tuple(map(typeof, arguments()))
 
 
 def _checksum(name: str, ptx: str) -> str:
@@ -140,8 +144,22 @@ def emitted(code: str, chip: str) -> str:
     options.loop_unrolling = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
+    refuse_more_than_arithmetic(module)
     ptx: str = machine.emit_assembly(module)
     return ptx
+
+
+def refuse_more_than_arithmetic(module: Any) -> None:
+    """Refuse LLVM's code that needs a function, or ``%``, which the backend would round or not know.
+
+    Raises:
+        TypeError: it does.
+    """
+    needed = [one.name for one in module.functions if one.is_declaration and not _KNOWN.match(one.name)]
+    if " frem " in str(module):
+        needed.append("%")
+    if needed:
+        raise TypeError(f'device="cuda" runs tasks of + - * / and square roots, this one needs {needed[0]}')
 
 
 def refuse_inexact(ptx: str) -> None:
@@ -150,8 +168,8 @@ def refuse_inexact(ptx: str) -> None:
     Raises:
         TypeError: one does.
     """
-    for operation, kinds in _OF_64_BITS.findall(ptx):
-        of_floats = {"f64", "f32", "f16", "f16x2", "bf16"}.intersection(kinds.split("."))
-        known = operation in _EXACT or (operation in _ROUNDED and ".rn." in kinds)
+    for operation, how in _OF_64_BITS.findall(ptx):
+        of_floats = {"f64", "f32", "f16", "f16x2", "bf16"}.intersection(how.split("."))
+        known = operation in _EXACT or (operation in _ROUNDED and ".rn." in how)
         if operation == "call" or (of_floats and not (known and of_floats == {"f64"})):
-            raise TypeError(f"a GPU would not get the CPU's bits by {operation}{kinds}")
+            raise TypeError(f"a GPU would not get the CPU's bits by {operation}{how}")

@@ -9,7 +9,9 @@ import ctypes
 import re
 import subprocess
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 HERE = Path(__file__).parent
@@ -92,19 +94,13 @@ void played(const u64 *parameters) {{
 """
 
 
-def loaded(ptx: str, folder: Path, *options: str) -> Callable[[int, int], None]:
+@cache
+def loaded(ptx: str) -> Callable[[int, int], None]:
     """The kernel as machine code of this CPU, a function of the address of a call and the number of rows."""
-    source, library = folder / "kernel.c", folder / "kernel.so"
-    source.write_text(translated(ptx))
-    strict = (
-        "-std=c11",
-        "-O0",
-        "-fno-strict-aliasing",
-        "-ffp-contract=off",
-        "-w",
-        "-Werror=implicit-function-declaration",
-    )
-    command = ["gcc", *strict, *options, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
-    subprocess.run(command, check=True, capture_output=True, text=True)
-    played: Any = ctypes.CDLL(str(library)).played
+    command = ["gcc", "-std=c11", "-O0", "-ffp-contract=off", "-w", "-Werror=implicit-function-declaration"]
+    with TemporaryDirectory() as folder:
+        source, library = Path(folder, "kernel.c"), Path(folder, "kernel.so")
+        source.write_text(translated(ptx))
+        subprocess.run([*command, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"], check=True)
+        played: Any = ctypes.CDLL(str(library)).played
     return lambda call, count: played((ctypes.c_uint64 * 2)(call, count))
