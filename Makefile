@@ -4,15 +4,18 @@
 # make roundings: what uses PyTorch, BLAS or numpy's kernels, as these round on other processors.
 # On Windows: make BIN=.venv/Scripts PYTHON=python ...
 PYTHON ?= python3
+# Else each process that a test starts compiles the modules of PyTorch and numba again: most of its time.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 # One thread each: two workers on two cores would wait for each other's.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
-WORKERS := -n 2 --dist loadfile
-TESTS := not slow
-UNDER_OLD_GYMNASIUM := $(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py \
-	environment/test_tools.py batches/test_vector_env.py \
-	guarantees/test_bits.py refusals/test_refusals.py)
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
+SELECTED := -m "not slow"
+# What calls Gymnasium.
+UNDER_OLD_GYMNASIUM := --deselect tests/guarantees/test_bits.py::test_every_kind_of_environment_does_the_same_whatever_is_called \
+	$(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py environment/test_tools.py \
+	batches/test_vector_env.py guarantees/test_bits.py refusals/test_refusals.py)
 # Settings in which PyTorch, MKL, OpenBLAS and numpy 2.4 use code for other processors; + joins several.
 OTHER_NUMPY := NPY_DISABLE_CPU_FEATURES=X86_V3,X86_V4,AVX512_ICL
 ROUNDINGS := ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Haswell \
@@ -25,7 +28,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-slow benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-oldest benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -37,17 +40,15 @@ test: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) -m "$(TESTS)"
+	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) $(SELECTED)
 
-# Random sweeps in full here, so not in part again.
-test-all: TESTS := not slow and not sweep
-test-all: test-slow test
+# Also kills, soaks, long runs and make wheel, all cases of the sweeps, and the environment under the oldest Gymnasium
+# covered.
+test-all: SELECTED := --whole
+test-all: test-oldest test
 
-# What make test leaves out: whole sweeps, kills, soaks, long runs, make wheel, and the environment under the oldest
-# Gymnasium covered.
-test-slow: .venv/ready $(OLD_GYMNASIUM)/ready
-	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(WORKERS) $(UNDER_OLD_GYMNASIUM)
-	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) --whole -m "slow or sweep"
+test-oldest: .venv/ready $(OLD_GYMNASIUM)/ready
+	EXPECTED_GYMNASIUM=1.2.2 PYTHONPATH=$(OLD_GYMNASIUM) $(PYTEST) $(UNDER_OLD_GYMNASIUM)
 
 # Studies: --render writes a page from its stored results; an interrupted study prints how it continues.
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (about 2 minutes) only its run folder.
@@ -102,7 +103,7 @@ machines: .venv/ready
 # About 3 minutes for each setting; quick: the tests of networks and derivatives under several settings at once, a minute.
 roundings: .venv/ready
 	@$(foreach setting,$(ROUNDINGS),echo "$(setting)" && $(subst +, ,$(setting)) \
-		$(PYTEST) $(WORKERS) -m "$(TESTS)" $(ROUNDED) &&) true
+		$(PYTEST) $(WORKERS) $(SELECTED) $(ROUNDED) &&) true
 
 roundings-quick: ROUNDINGS := $(SEVERAL_ROUNDINGS)
 roundings-quick: ROUNDED := $(ROUNDED_QUICKLY)

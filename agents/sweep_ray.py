@@ -18,7 +18,7 @@ from typing import Any
 from agents.files import first_line
 from agents.runners import ONE_THREAD, Finished, Results, Runner, Trials, Work, attempt, in_turn, on_cores
 from agents.sweep import differing, made_with
-from jackbox_env.jit.compiler import cache_folders
+from jackbox_env.jit.folders import cache_folders
 from jackbox_env.tools import checks as check
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
@@ -48,10 +48,8 @@ def runner_for(workers: int | None, address: str | None) -> Runner:
         return partial(on_cores, check.whole("workers", workers, at_least=1, at_most=100))
     if address is None:
         return in_turn
-    try:
+    with check.extra("running trials on a cluster", "ray", "scale"):
         import ray
-    except ImportError as error:
-        raise ImportError(check.extra_needed("running trials on a cluster", "ray", "scale")) from error
     return partial(_on_cluster, ray, address)
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jackbox_env.envs.single import JackInBoxEnv
     from jackbox_env.envs.vector import JackInBoxVectorEnv
     from jackbox_env.fits.fitting import fit
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.result import Fit
     from jackbox_env.measure.choosing import cheapest
     from jackbox_env.model.action import Action
@@ -49,7 +49,7 @@ _LAZY = {
     "Simulator": "simulators",
     "StepResult": "simulators",
     "make_simulator": "simulators",
-    "Recording": "fits.recordings",
+    "Recording": "fits.observed",
     "Rollout": "planning.rollouts",
     "Task": "model.tasks",
     "TaskError": "model.tasks",

@@ -1,7 +1,7 @@
 """Settings and fixtures of all tests.
 
 The compiled code is ready before several workers ask for it at once. Sweeps over random cases draw a quarter of them,
-and all under ``--whole``, as ``make test-slow`` runs them. A module is skipped if an optional library that it needs is
+and all under ``--whole``, as ``make test-all`` runs them. A module is skipped if an optional library that it needs is
 missing.
 """
 
@@ -105,16 +105,15 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
         ensure_page()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that no worker ends long before the other."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run draw every case."""
     parser.addoption("--whole", action="store_true", help="draw all cases of the sweeps, not a quarter")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the sweeps, so that a run of all their cases can leave the other tests out."""
-    for item in items:
-        if "cases" in getattr(item, "fixturenames", ()):
-            item.add_marker("sweep")
 
 
 @pytest.fixture

@@ -57,8 +57,9 @@ def judged() -> str:
     import numpy as np
     from gymnasium.spaces import Box
 
-    from jackbox_env import Action, Observation, Scene, Task
-    from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns
+    from jackbox_env import Action, Observation, Scene, Task, make_simulator
+    from jackbox_env.simulators.agent_functions import CompiledFunctions
+    from jackbox_env.simulators.plain_functions import Nouns
 
     nouns = Nouns(
         Task(
@@ -67,9 +68,11 @@ def judged() -> str:
         Observation(("height",), -1e3, 1e3, lambda scene, state, time: (state[4] * time,)),
         Action(Box(-1.0, 1.0, (3,)), lambda scene, state, action, time, dt: action[0] * action[1] - action[2]),
     )
-    functions, states, results = CompiledFunctions(Scene(), nouns), np.random.default_rng(0), list[Any]()
-    for state in states.normal(size=(100, 12)):
-        results += [*functions.judge(state, 0.3, 2.0, 0.1), functions.share(state, state[:3], 0.0, 0.02)]
+    functions, simulator, results = CompiledFunctions(Scene(), nouns), make_simulator(contact="exact"), list[Any]()
+    for state in np.random.default_rng(0).normal(size=(100, 12)):
+        simulator.reset(state, 0.3)
+        results += [*functions.step_and_score(simulator, 0.02, 2.0, True)[5:]]
+        results.append(functions.share(state, state[:3], 0.0, 0.02))
     return repr(results)
 
 

@@ -15,10 +15,10 @@ from agents.policies.scripted import PolicyWithEnv
 from agents.settings import setting_of
 from agents.training.models import derived_seed
 from jackbox_env import JackInBoxEnv
-from jackbox_env.envs.decisions import ControlStep
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.recorder import Recorder
+from jackbox_env.simulators.plain_functions import ControlStep
 
 _LONGEST_NAME = 80  # letters of a file's name
 

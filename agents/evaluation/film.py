@@ -81,7 +81,7 @@ def film(
             for one in shown:
                 one.advance((step + 1) * control_dt)
             moved(1)
-    write_film(frames, path, 1.0 / (every * control_dt), progress)
+    write_film(frames, path, 1.0 / (every * control_dt))
     return {one.caption: one.earned for one in shown}
 
 

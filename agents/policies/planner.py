@@ -11,7 +11,7 @@ from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, tor
 from agents.policies.value import Value, ValuedSearch, read_value
 from jackbox_env import Scene, Task
 from jackbox_env.model.observation import BOUNDS, state_of
-from jackbox_env.planning.icem import Plans, Search
+from jackbox_env.planning.icem import Plans, PlanSearch
 from jackbox_env.tools import checks as check
 
 DECISION_INTERVAL = 0.1  # [s] that the settings here were tuned for
@@ -72,7 +72,7 @@ class Planner:
         if value is not None and not isinstance(value, Value):
             raise TypeError(f"value must be a Value or None, got {check.shown(value)}")
         self.search = (
-            ValuedSearch(value, task, control_dt, **settings) if value else Search(task, control_dt, **settings)
+            ValuedSearch(value, task, control_dt, **settings) if value else PlanSearch(task, control_dt, **settings)
         )
         self.repeat = self.search.repeat
 

@@ -22,7 +22,7 @@ from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.states import Array
-from jackbox_env.planning.icem import Search
+from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.simulators.agent_functions import observed
 
 VALUE = "value.json"
@@ -54,7 +54,7 @@ class Value:
         return UNIT * outputs(self.layers, self.inputs(states))[:, 0].astype(np.float64)
 
 
-class ValuedSearch(Search):
+class ValuedSearch(PlanSearch):
     """A search that adds the value of each candidate's last state to its rewards.
 
     Each jack's candidates are evaluated separately, because a product of matrices may depend on its number of rows. So
@@ -66,7 +66,7 @@ class ValuedSearch(Search):
         self.value = value
 
     def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """As :meth:`Search.evaluate`, the values of the ends added to the sums of rewards."""
+        """As :meth:`PlanSearch.evaluate`, the values of the ends added to the sums of rewards."""
         returns, ends = super().evaluate(scene, states, tried)
         return returns + np.array([self.value.of(of_jack) for of_jack in ends]).reshape(returns.shape), ends
 

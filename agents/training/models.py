@@ -16,7 +16,7 @@ from agents.files import as_value_error
 from agents.policies.pictures import policy_kwargs
 from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, run_folder, trusted_settings
 from agents.settings import TrainSettings
-from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env
+from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.tools import checks as check
 
 
@@ -43,11 +43,11 @@ def try_out(settings: TrainSettings) -> None:
     environments.close()
 
 
-def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> PPO:
+def make_ppo(settings: TrainSettings, environments: VecEnv) -> PPO:
     """An untrained PPO model of these settings.
 
-    A saved model loads without this project by ``stable_baselines3.PPO.load``; with ``action_repeat`` "bounce" it needs
-    ``jackbox_env``. It stores the settings as ``trained_by``.
+    A saved model loads without this project by ``stable_baselines3.PPO.load``. It stores the settings as
+    ``trained_by``.
     """
     model = PPO(
         "CnnPolicy" if settings.pixels else "MlpPolicy",
@@ -63,7 +63,6 @@ def make_ppo(settings: TrainSettings, environments: VecEnv, **keywords: Any) -> 
         policy_kwargs=policy_kwargs(settings),
         seed=settings.seed,
         device="cpu",
-        **{"rollout_buffer_class": DurationBuffer if settings.action_repeat == "bounce" else None, **keywords},
     )
     setattr(model, TRAINED_BY, dataclasses.asdict(settings))  # saved with the model
     return model

@@ -24,7 +24,7 @@ from agents.settings import EnvSettings
 from agents.training.fitting import BATCH, CONTROL_DT, REPEAT, SCENE, epoch, inputs_and_goals, layers_of, starts
 from jackbox_env import Scene
 from jackbox_env.model.states import Array
-from jackbox_env.planning.icem import Search
+from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.tools.command_line import command_line
 
 COMMON: dict[str, Any] = {"repeat": REPEAT, "num_threads": 1}
@@ -69,7 +69,7 @@ def visited(search: RecordingSearch, rng: np.random.Generator) -> tuple[Array, A
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
         visits.append(states)
-        states = Search.evaluate(search, SCENE, states, best.plans[:, None, :1])[1][:, 0]
+        states = PlanSearch.evaluate(search, SCENE, states, best.plans[:, None, :1])[1][:, 0]
     return np.concatenate(ends), np.concatenate(visits)
 
 
@@ -84,7 +84,7 @@ def evaluated(task: str, states: Array, rng: np.random.Generator) -> Array:
     """Return of the best plan of a new search from each state, shape (n,)."""
     returns = []
     for first in trange(0, len(states), CHUNK, desc="evaluate", leave=False, disable=None):
-        search = Search(task, CONTROL_DT, seed=int(rng.integers(2**31)), **EVALUATING)
+        search = PlanSearch(task, CONTROL_DT, seed=int(rng.integers(2**31)), **EVALUATING)
         some = states[first : first + CHUNK]
         returns.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
     return np.concatenate(returns)

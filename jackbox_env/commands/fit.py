@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
-from jackbox_env.commands.options import add_scene_options, add_torque_column, chosen_scene, parser_of
+from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 from jackbox_env.fits.torques import TORQUE_KINDS
 from jackbox_env.model.states import RATES, X_JACK
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
 if TYPE_CHECKING:
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
@@ -66,7 +66,11 @@ def _arguments() -> argparse.Namespace:
         "or none"
     )
     parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
-    add_torque_column(parser, ", and a note if another fits better")
+    text = (
+        "whether each torque in a file was held to the next row, sampled from a smooth curve, or changes linearly to "
+        "the next row; default: held, and a note if another fits better"
+    )
+    parser.add_argument("--torque-column", choices=TORQUE_KINDS, help=text)
     text = (
         "where the search starts, and all that is not fitted; without --scene that of the npz file, or of scene.json "
         "in the folder of the files, with the options of single fields"
@@ -110,7 +114,7 @@ def read_recording(
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
     """
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.tables import filled, in_si_units, read_table
 
     heard = None
@@ -192,8 +196,7 @@ def main() -> None:
     stored = _stored_scene(paths) if arguments.scene == "{}" else {}
     start, noise = Scene.of({**stored, **chosen_scene(arguments.scene, arguments)}), _noise(arguments.noise)
     start = start.changed(drive=None) if arguments.torque == "none" else start
-    impacts = arguments.impacts or [None] * len(paths)
-    names = column_names(arguments.columns)
+    impacts, names = arguments.impacts or [None] * len(paths), column_names(arguments.columns)
 
     def read(torque: str) -> list[Recording]:
         return [

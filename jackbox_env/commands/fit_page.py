@@ -19,7 +19,7 @@ from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, THETA_BOX, X_JACK
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jackbox_env.fits.recordings import Recording
+    from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.result import Fit
     from jackbox_env.model.scene import Scene
 
@@ -87,21 +87,16 @@ def sentences(result: Fit, recordings: Sequence[Recording]) -> list[str]:
 
 def write_fit_page(
     path: Path, result: Fit, start: Scene, recordings: Sequence[Recording], names: Sequence[str]
-) -> Path:
+) -> None:
     """Write a fit as a page.
 
     Args:
-        path: of the new file.
+        path: of the file.
         result: the fit.
         start: where the search began.
         recordings: that were fitted.
         names: of the recordings.
-
-    Raises:
-        FileExistsError: there is something at ``path``.
     """
-    from jackbox_env.tools.files import new_file
-
     head, *rows = ("".join(f"<td>{cell}</td>" for cell in row) for row in table_of(result, start))
     body = [f"<table><tr>{head.replace('td>', 'th>')}</tr>", *(f"<tr>{row}</tr>" for row in rows), "</table>"]
     body += [f"<p>{html.escape(one)}</p>" for one in sentences(result, recordings)]
@@ -114,9 +109,7 @@ def write_fit_page(
         beyond = f"points at the edge of {_EDGE:g} lie there or beyond"
         body.append(f"<p>(Observed - fitted) over the noise; about 95 % should lie within the band of 2; {beyond}.</p>")
     what = names[0] if len(names) == 1 else f"{len(names)} recordings"
-    with new_file(path) as partial:
-        partial.write_text(_PAGE.format(recordings=html.escape(what), body="\n".join(body)), encoding="utf-8")
-    return path
+    path.write_text(_PAGE.format(recordings=html.escape(what), body="\n".join(body)), encoding="utf-8")
 
 
 def _figure(figure: Figure) -> str:

@@ -34,15 +34,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import __version__
-from jackbox_env.exact.restart import WHOLE, unpacked
-from jackbox_env.model.scene import Scene, total
+from jackbox_env.exact.pcg64 import WHOLE, unpacked
+from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
 from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
-from jackbox_env.simulators.agent_functions import Nouns, make_functions
-from jackbox_env.simulators.base import StepResult, total_impulse
+from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns
 from jackbox_env.tools import checks as check
 
 VERSION = 1
@@ -79,19 +79,15 @@ class Game(NamedTuple):
     digest: int = _BASIS
 
 
-class Step(NamedTuple):
+class PlayedStep(NamedTuple):
     """A simulated step of a game.
 
     Attributes:
-        result: state and time at its end, mean torque, impacts.
-        impulse: of all its impacts [N s].
-        reward: of the step.
+        result: state and time at its end, mean torque, impacts and their impulse, reward.
         number: the hash after it.
     """
 
-    result: StepResult
-    impulse: float  # [N s]
-    reward: float
+    result: ControlStep
     number: int
 
 
@@ -131,12 +127,12 @@ def replay_game(game: Game) -> tuple[int | None, list[float]]:
         JackLostError: a step cannot be followed, or the game needs more than 50,000,000 gap evaluations.
     """
     differs, steps = replayed_steps(game)
-    return differs, [step.reward for step in steps]
+    return differs, [step.result.reward for step in steps]
 
 
-def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
+def replayed_steps(game: Game) -> tuple[int | None, list[PlayedStep]]:
     """:func:`replay_game` with the steps before a difference in place of their rewards."""
-    steps = list[Step]()
+    steps = list[PlayedStep]()
     for count, step in enumerate(_simulated(game), 1):
         if step.number >> 56 != game.checks[count - 1] or (count == len(game.shares) and step.number != game.digest):
             return count, steps
@@ -144,7 +140,7 @@ def replayed_steps(game: Game) -> tuple[int | None, list[Step]]:
     return None, steps
 
 
-def played_columns(game: Game, steps: Sequence[Step]) -> Columns:
+def played_columns(game: Game, steps: Sequence[PlayedStep]) -> Columns:
     """A table of n steps, with n + 1 rows: that of states.csv with the number of impacts, their impulse, the reward.
 
     A row's torque, impacts, impulse and reward are of the step that begins there; the last row's are NaN. A foot at
@@ -152,7 +148,8 @@ def played_columns(game: Game, steps: Sequence[Step]) -> Columns:
     """
     times = np.array([0.0, *(step.result.time for step in steps)])
     states = np.array([game.start, *(step.result.state for step in steps)])
-    rows = [(step.result.torque, len(step.result.impacts), step.impulse, step.reward) for step in steps]
+    results = [step.result for step in steps]
+    rows = [(one.torque, len(one.impacts), one.impulse, one.reward) for one in results]
     columns = zip(*rows, (math.nan,) * 4, strict=True)
     torque, impacts, impulse, reward = (np.array(column, object) for column in columns)  # counts stay whole numbers
     further: Columns = {("impacts", ""): impacts, ("impulse", "N s"): impulse, ("reward", ""): reward}
@@ -202,23 +199,22 @@ def write_game(
     return text
 
 
-def _simulated(game: Game) -> Iterator[Step]:
+def _simulated(game: Game) -> Iterator[PlayedStep]:
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
     functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:
-            result = simulator.step(game.dt, None if share is None else share * game.scene.torque_limit)
+            torque = None if share is None else share * game.scene.torque_limit
+            done = functions.step_and_score(simulator, game.dt, torque, False)
             work += simulator.evaluations
             if work > MOST_WORK:
                 raise JackLostError(f"the game needs more than {MOST_WORK:,.0f} gap evaluations")
         except JackLostError as error:
             raise JackLostError(f"step {step:,} of {len(game.shares):,} cannot be followed: {error}") from error
-        for word in result.state.view(np.uint64).tolist():
+        for word in done.state.view(np.uint64).tolist():
             number = (number ^ word) * _PRIME & _WORD
-        impulse = total_impulse(result.impacts)
-        _, terms, _ = functions.judge(result.state, result.time, result.torque, impulse, seen=False)
-        yield Step(result, impulse, total(terms), number)
+        yield PlayedStep(done, number)
 
 
 def _start(scene: Scene, values: Any) -> Array:

@@ -51,7 +51,7 @@ def main() -> None:
         print(f"{played}: it differs from step {differs:,} on")
     else:
         first = f" in the first {episode * game.dt:g} s" if count > episode else ""
-        earned = total([step.reward for step in steps[:episode]])
+        earned = total([step.result.reward for step in steps[:episode]])
         print(f"{played}, return {earned:.1f}{first}: the same, bit for bit")
     if arguments.csv is not None:
         write_table(played_columns(game, steps), arguments.csv)

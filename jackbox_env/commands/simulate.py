@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jackbox_env.commands.options import add_model_options, add_torque_column, chosen_scene, parser_of
+from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 from jackbox_env.model.states import STATE_NAMES, Array
+from jackbox_env.simulators.fidelity import COMMANDS, FIDELITIES
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
-from jackbox_env.tools.files import check_new, new_folder, stamped
+from jackbox_env.tools.files import check_new, new_folder, stamped, write_json
 
 if TYPE_CHECKING:
     from jackbox_env.recording.motion import Motion
-    from jackbox_env.simulators.fidelity import Setting
 
 _STEP_TOLERANCE = 1e-6  # relative, of steps of time
 _MOST_ON_PAGE = 20_000  # steps: a page of some 10 MB
@@ -36,16 +36,17 @@ def _arguments() -> argparse.Namespace:
         "them; default: chirp"
     )
     parser.add_argument("--torque", default="chirp", metavar="chirp|none|FILE", help=text)
-    add_torque_column(parser, "; else the states are those of each quarter of a control step")
-    add_model_options(parser)
-    start = parser.add_argument_group("start")
+    model = parser.add_argument_group("scene and contact model")
+    text = f"how impacts are computed; default: {COMMANDS}"
+    model.add_argument("--fidelity", choices=FIDELITIES, default=COMMANDS, help=text)
+    text = "duration of a control step [s]; default: 0.02"
+    model.add_argument("--dt", type=float, default=0.02, metavar="S", help=text)
+    add_scene_options(model)
     text = (
         "what to start from: numbers by name, e.g. x_jack=1,omega_jack=3, or all 12 as a JSON list, e.g. a row of "
         "states.csv; default: all 0"
     )
-    start.add_argument("--state", default="", metavar="NAME=N,...", help=text)
-    text = "time at the start [s], which the drive sees; default: 0"
-    start.add_argument("--time", type=float, default=0.0, metavar="S", help=text)
+    parser.add_argument("--state", default="", metavar="NAME=N,...", help=text)
     files = parser.add_argument_group("files")
     text = "new folder for all that is written; default: runs/simulate-<date>-<time>"
     files.add_argument("--folder", type=Path, help=text)
@@ -56,8 +57,6 @@ def _arguments() -> argparse.Namespace:
     files.add_argument("--html", action="store_true", help=text)
     text = "also film it, in this new .mp4 or .gif file; needs the extra video"
     files.add_argument("--film", type=Path, metavar="FILE", help=text)
-    text = "show a bar while it simulates and films; default: on a terminal"
-    parser.add_argument("--progress", action=argparse.BooleanOptionalAction, default=True, help=text)
     return parser.parse_args()
 
 
@@ -83,15 +82,14 @@ def _state(text: str) -> list[Any] | dict[str, Any]:
 # -- torques -----------------------------------------------------------------------------------------------------------
 
 
-def _torques(path: Path, dt: float, kind: str = "held") -> Array:
-    """Torques of a CSV or npz file [N m], one for each control step, or each quarter of one.
+def _torques(path: Path, dt: float) -> Array:
+    """Torques of a CSV or npz file [N m], one for each control step.
 
     Raises:
         ValueError: unusable content, or times of another ``dt`` [s]; the message names the file.
     """
     from jackbox_env.fits.columns import rounding_of
     from jackbox_env.fits.tables import filled, in_si_units, read_table
-    from jackbox_env.fits.torques import torques_between
 
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
@@ -100,16 +98,15 @@ def _torques(path: Path, dt: float, kind: str = "held") -> Array:
     if others := [header for header in left_out if header.split("[")[0].strip() not in STATE_NAMES]:
         print(f"{path}: left out: {', '.join(others)}.", file=sys.stderr)
     torques = columns["torque"]
-    held = kind == "held"
-    torques = filled(table, "torque", torques[:-1] if held and np.isnan(torques[-1:]).any() else torques)
-    if len(torques) < (1 if held else 2):
+    torques = filled(table, "torque", torques[:-1] if np.isnan(torques[-1:]).any() else torques)
+    if not len(torques):
         raise ValueError(f"{path}: there must be a torque of one control step at least")
     times = filled(table, "time", columns.get("time", torques[:0])[: len(torques)])
     late = times - times[:1] - dt * np.arange(len(times))
     if len(late) > 1 and np.ptp(late) > _STEP_TOLERANCE * dt * len(late) + 0.98 * rounding_of(times):
         step = np.diff(times)[abs(np.diff(late)).argmax()]
         raise ValueError(f"{path}: times must be dt = {dt:g} s apart, got {step:g} s; choose another --dt")
-    return torques if held else torques_between(torques, kind)
+    return torques
 
 
 def _completed(arguments: argparse.Namespace) -> Array | None:
@@ -122,19 +119,15 @@ def _completed(arguments: argparse.Namespace) -> Array | None:
 
     dt, torques = check.real("dt", arguments.dt, above=0.0), None
     if arguments.torque not in ("chirp", "none"):
-        torques = _torques(Path(arguments.torque), dt, arguments.torque_column or "held")
-    elif arguments.torque_column:
-        raise ValueError(f"--torque-column goes with a FILE of --torque, got --torque {arguments.torque}")
+        torques = _torques(Path(arguments.torque), dt)
     if arguments.seconds is None:
         arguments.seconds = 10.0 if torques is None else len(torques) * dt
-    if torques is not None:
-        arguments.dt /= torques.size // len(torques)  # constant torques of parts of a step
     _refuse_impossible(arguments)
     whole, rest = steps_of(arguments.seconds, dt)
     if torques is not None and len(torques) < whole + (rest > 0.0):
         lasts = f"as long as {arguments.torque} lasts"
         raise ValueError(f"seconds must be at most {len(torques) * dt:g}, {lasts}, got {arguments.seconds:g}")
-    return None if torques is None else torques.ravel()
+    return torques
 
 
 def _refuse_impossible(arguments: argparse.Namespace) -> None:
@@ -155,21 +148,21 @@ def _refuse_impossible(arguments: argparse.Namespace) -> None:
     check_new(arguments.folder)
 
 
-def _write(folder: Path, arguments: argparse.Namespace, motion: Motion, setting: Setting) -> None:
+def _write(folder: Path, arguments: argparse.Namespace, motion: Motion) -> None:
     """Write the files that the options select."""
-    from jackbox_env.recording.files import write_csv, write_scene
+    from jackbox_env.recording.files import write_csv
 
     if arguments.format == "npz":
         motion.save(folder / "trajectory.npz")
     else:
         write_csv(motion.tables(), folder / "states.csv", folder / "impacts.csv")
-        write_scene(motion.scene, folder / "scene.json")
+        write_json(folder / "scene.json", motion.scene.as_dict())
     if arguments.html:
         from jackbox_env.recording.page import model_facts, write_page
 
         titles = {"chirp": "The scene's drive", "none": "No torque"}
         title = titles.get(arguments.torque, f"Torques of {arguments.torque}")
-        write_page(folder / "trajectory.html", motion, title, model_facts(setting))
+        write_page(folder / "trajectory.html", motion, title, model_facts(FIDELITIES[arguments.fidelity]))
     if arguments.plots is not False and importlib.util.find_spec("matplotlib"):
         progress("Drawing plots ...")
         from jackbox_env.commands.plots import motion_figures
@@ -180,7 +173,7 @@ def _write(folder: Path, arguments: argparse.Namespace, motion: Motion, setting:
     if arguments.film is not None:
         from jackbox_env.recording.film import film_motion
 
-        film_motion(motion, arguments.film, arguments.progress)
+        film_motion(motion, arguments.film, progress=True)
 
 
 @command_line
@@ -189,22 +182,20 @@ def main() -> None:
     arguments = _arguments()
     from jackbox_env import Scene
     from jackbox_env.recording.simulation import recorded
-    from jackbox_env.simulators.fidelity import chosen, resolve, words
 
     arguments.folder = arguments.folder or stamped("simulate")
-    torques = _completed(arguments)
-    setting, dt = resolve(**chosen(arguments)), arguments.dt
+    torques, dt = _completed(arguments), arguments.dt
     scene = Scene.of(chosen_scene(arguments.scene, arguments))
     if arguments.torque == "none":
         scene = scene.changed(drive=None)
-    start, time, shown = _state(arguments.state), arguments.time, arguments.progress
+    setting, start = FIDELITIES[arguments.fidelity], _state(arguments.state)
     try:
-        motion = recorded(scene, setting, start, time, arguments.seconds, dt, torques, progress=shown)
-        folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion, setting))
+        motion = recorded(scene, setting, start, 0.0, arguments.seconds, dt, torques, progress=True)
+        folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion))
     except KeyboardInterrupt:
         print("\nInterrupted: nothing was written", file=sys.stderr)
         raise
-    print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, {words(setting)}; wrote")
+    print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, fidelity {arguments.fidelity}; wrote")
     for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")
     if motion.failure:

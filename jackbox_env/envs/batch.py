@@ -1,4 +1,13 @@
-"""What batches of environments return to the vector environment, which steps them."""
+"""What batches of environments share: how they change, and what they return to the vector environment.
+
+A step, a reset and ``set_states`` change a batch in three moves, so that an error or an interruption leaves all of it
+as it was or all as the change leaves it:
+
+- *prepare*: compute the environments after the change, in memory that is not in use. Only this may raise.
+- *commit*: replace the present by them, in one assignment.
+- *finish*: make what is not in the present agree with it. If an interruption cuts this short, the next use finishes
+  again, to the same effect.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +34,7 @@ class Outcome:
     truncations: Flags  # (N,)
     infos: dict[str, NDArray[Any]]  # numbers of each environment's step, (N,) or (N, 12): durations, others on request
     finished: int  # episodes that this step ends
-    after: Any  # the environments after the step, for the batch's ``take``
+    after: Any  # the environments after the step, for the batch's ``commit``
 
     @property
     def ended(self) -> Flags:
@@ -39,7 +48,7 @@ class Starts(NamedTuple):
     numbers: Indices  # (k,) of their environments
     generators: Any  # of these environments from their start on
     scenes: Any  # of these environments from their start on, in the batch's own form; None: unchanged
-    states: Array | None = None  # (k, 12) in which they start, checked; None: drawn when they begin
+    states: Any = None  # (k, 12) in which they start, checked; None: drawn when they begin
     times: Array | None = None  # (k,) at which they start [s]; None: 0
 
 

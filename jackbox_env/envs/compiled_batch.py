@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.scene_table import SceneTable
-from jackbox_env.exact import restart, run, score, workspace
-from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact import pcg64, run, score, workspace
+from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import SHARES, Call, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
 from jackbox_env.model.observation import STATE, bad_observation
@@ -23,9 +23,11 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
-from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns, bad_reward, compiled_for
+from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.simulators.plain_functions import Nouns
+from jackbox_env.simulators.users_functions import compiled_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -34,12 +36,12 @@ _NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class Present(NamedTuple):
-    """The environments of a batch: replaced by one assignment, so that an interruption cannot leave a part of it."""
+    """The environments of a batch. Blocks in use are never written."""
 
-    blocks: Array  # states, (blocks, 16, width); never written while in use
+    blocks: Array  # states, (blocks, 16, width)
     scenes: SceneTable
     last: tuple[Array, Array | None] | None = None  # blocks before the last step, and its actions
-    starts: Starts | None = None  # the last ones, until generators and scenes have them
+    starts: Starts | None = None  # begun, but generators and scenes may not have them yet
     past: Past | None = None  # what pictures show, if those are observed
 
 
@@ -48,9 +50,8 @@ class ExactBatch:
 
     With a scene for each environment it is 160 bytes more.
 
-    A step, a reset and :meth:`set_states` write states into spare memory, which :meth:`take` exchanges with that in
-    use. Generators and scenes are written in place after that, from ``starts`` in :class:`Present`. If an interruption
-    cuts this short, the next use writes all of them again, to the same effect.
+    ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
+    and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
@@ -77,8 +78,8 @@ class ExactBatch:
         self._dt, self._nouns, self._repeat, self._limits = control_dt, nouns, repeat, limits
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
-        width = min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
-        self._count, blocks = num_envs, np.zeros((-(-num_envs // width), workspace.WIDTH, width))
+        self._count, self._width = num_envs, min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
+        blocks = np.zeros((-(-num_envs // self._width), workspace.WIDTH, self._width))
         several = len(scenes) > 1 or randomize is not None
         past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
@@ -88,11 +89,7 @@ class ExactBatch:
         ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
         self._threads = Threads(thread_count(num_threads, ranges))
         self._spare: Array | None = np.zeros_like(blocks)  # where the next step writes
-        self._calls: list[Call] | None = None
-        self._packed: Scenes | None = None  # those in the arguments of these calls
-
-    def _new_calls(self) -> list[Call]:
-        return [Call(new_memory(self._present.blocks.shape[2])) for _ in range(self._threads.count)]
+        self._calls: tuple[list[Call], Scenes] | None = None  # of each thread, and the scenes in their arguments
 
     def _compile(self) -> None:
         """Compile the functions that the loop calls by their address, and store them as long as it may."""
@@ -103,12 +100,18 @@ class ExactBatch:
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._kind = SHARES if plain else workspace.ACTIONS
-        steps, max_contact_steps = self._repeat
         self._rules = Rules(
-            self._dt, steps, self._limits.steps, self._kind, False, max_contact_steps, self._limits.decisions,
-            address_of(scorer, score.block_scorer), address_of(observer, score.block_observer),
-            address_of(actor, score.block_actor), run.PATIENCE,
-        )  # fmt: skip
+            self._dt,
+            steps=self._repeat.steps,
+            longest=self._limits.steps,
+            kind=self._kind,
+            max_contact_steps=self._repeat.max_contact_steps,
+            decisions=self._limits.decisions,
+            score=address_of(scorer, score.block_scorer),
+            observe=address_of(observer, score.block_observer),
+            act=address_of(actor, score.block_actor),
+            patience=run.PATIENCE,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_compiled": None, "_rules": None, "_calls": None}  # addresses are of this process
@@ -160,7 +163,7 @@ class ExactBatch:
     ) -> Starts:
         """Seed generators, and draw scenes and starts for episodes to come."""
         ensure_compiled(self._present.scenes.lossy)
-        self._settle()
+        self._finish()
         words, table = self._generators[numbers], self._present.scenes
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
@@ -172,7 +175,7 @@ class ExactBatch:
         if changes is None and drawn is not None and drawn.function is None and not (otherwise or starting):
             rows, derived = table.original_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
-            compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
+            compiled(pcg64.draw_scenes)(rows, drawn.table, follows, words)
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
@@ -187,8 +190,8 @@ class ExactBatch:
             words[index] = packed(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
-    def start(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
-        """What :meth:`take` makes the present if episodes begin now, or ``after`` a step.
+    def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+        """The environments once episodes begin: now, or ``after`` a step.
 
         Their observations are written into their rows, shape (N, numbers).
 
@@ -196,7 +199,8 @@ class ExactBatch:
             TaskError: a number of an observation is NaN.
         """
         numbers, words, scenes, states, times = starts
-        blocks, table, last, _, past = self._present._replace(blocks=self._copied()) if after is None else after
+        after = self._prepare() if after is None else after
+        blocks, table, past = after.blocks, after.scenes, after.past
         if scenes is None:
             rows = table.rows(numbers)
         elif isinstance(scenes, list):
@@ -206,55 +210,52 @@ class ExactBatch:
         else:
             rows = scenes
         if states is None:
-            compiled(restart.restart_blocks)(rows, blocks, numbers, words)
+            compiled(pcg64.restart_blocks)(rows, blocks, numbers, words)
         if not (states is None and times is None):
-            block, lane = np.divmod(numbers, blocks.shape[2])
+            block, lane = np.divmod(numbers, self._width)
             if states is not None:
                 blocks[block, :, lane] = 0.0
                 blocks[block, :12, lane] = states
             blocks[block, workspace.TIME, lane] = 0.0 if times is None else times
         past = past and past.begun(numbers, _states(blocks, self._count))
         self._observe(rows, blocks, numbers, observations, past)
-        return Present(blocks, table, last, starts, past)
+        return after._replace(scenes=table, starts=starts, past=past)
 
     def set_states(self, chosen: Flags, states: Array, times: Array) -> None:
         """Set states, shape (N, 12), and times [s] of the ``chosen`` environments, checked beforehand."""
-        blocks = self._copied()
-        block, lane = np.divmod(np.flatnonzero(chosen), blocks.shape[2])
+        after = self._prepare()
+        blocks, past, (block, lane) = after.blocks, after.past, np.divmod(np.flatnonzero(chosen), self._width)
         blocks[block, :12, lane] = states[chosen]
         blocks[block, workspace.TIME, lane] = times[chosen]
         over = blocks[block, workspace.OVER, lane] != 0.0
         for row in (workspace.STEPS, workspace.DECISIONS, workspace.OVER):
             blocks[block[over], row, lane[over]] = 0.0
-        past = self._present.past and self._present.past.begun(np.flatnonzero(chosen), states)
-        self.take(self._present._replace(blocks=blocks, past=past))
+        self.commit(after._replace(past=past and past.begun(np.flatnonzero(chosen), states)))
 
-    def _copied(self) -> Array:
-        """A copy of the blocks in spare memory."""
+    def _prepare(self) -> Present:
+        """A copy of the present to be changed, in spare memory."""
+        blocks = self._taken()
+        np.copyto(blocks, self._present.blocks)
+        return self._present._replace(blocks=blocks)
+
+    def _taken(self) -> Array:
+        """The spare blocks, which are no longer spare."""
         spare, self._spare = self._spare, None
-        spare = np.empty_like(self._present.blocks) if spare is None else spare
-        np.copyto(spare, self._present.blocks)
-        return spare
+        return np.zeros_like(self._present.blocks) if spare is None else spare
 
-    def take(self, after: Present) -> None:
-        """Replace the present environments by those of a step or of :meth:`start`."""
+    def commit(self, after: Present) -> None:
+        """Replace the present environments by those of a step or of starts."""
         before, self._present = self._present, after
-        if after.last is before.last:  # no step
-            self._spare = before.blocks
-        else:
-            self._spare = before.last[0] if before.last else None
-        self._settle()
+        self._spare = before.blocks if after.last is before.last else before.last and before.last[0]
+        self._finish()
 
-    def _settle(self) -> None:
+    def _finish(self) -> None:
         """Write the generators and scenes of the last starts in place, unless this is done."""
-        present = self._present
-        if present.starts is None:
-            return
-        numbers, words, scenes, *_ = present.starts
-        self._generators[numbers] = words
-        if scenes is not None:
-            present.scenes.put(numbers, scenes)
-        self._present = Present(present.blocks, present.scenes, present.last, None, present.past)
+        if starts := self._present.starts:
+            self._generators[starts.numbers] = starts.generators
+            if starts.scenes is not None:
+                self._present.scenes.put(starts.numbers, starts.scenes)
+            self._present = self._present._replace(starts=None)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -262,7 +263,7 @@ class ExactBatch:
         Raises:
             TaskError: a number of an observation is NaN.
         """
-        self._settle()
+        self._finish()
         present = self._present
         self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.past)
 
@@ -294,7 +295,7 @@ class ExactBatch:
         if self._present.last is None:
             return []
         blocks, (before, actions) = self._present.blocks, self._present.last
-        block, lane = divmod(number, before.shape[2])
+        block, lane = divmod(number, self._width)
         steps = int(blocks[block, workspace.STEPS, lane] - before[block, workspace.STEPS, lane])
         if steps < 1:  # it has restarted, possibly in another scene, or it waits
             return []
@@ -305,7 +306,7 @@ class ExactBatch:
 
     def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[StepResult]:
         """The results of one environment's control steps from ``before`` under ``actions``."""
-        block, lane = divmod(number, before.shape[2])
+        block, lane = divmod(number, self._width)
         scene, dt = self.scene(number), self._dt
         simulator, torque = ExactSimulator(scene), None
         simulator.reset(before[block, :12, lane], float(before[block, workspace.TIME, lane]))
@@ -320,58 +321,65 @@ class ExactBatch:
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | None, ahead: int = _AHEAD) -> Outcome:
-        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`.
+    def prepare_step(self, actions: Array | None, ahead: int = _AHEAD) -> Outcome:
+        """Step all under ``actions``, shape (n, N), or under the scene's drive.
 
         Functions of drives are read ``ahead``, for so many control steps. If a decision lasts longer, it begins anew.
         """
-        self._settle()
-        count, halt, steps, present = self._count, Halt(), self._repeat.steps, self._present
-        terms, past = len(self._nouns.task.terms), present.past
-        filled = Results(
-            NOTHING.observations if past else self._nouns.unfilled(count), np.zeros((1, count)),
-            np.zeros(count if steps > 1 else 0), np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_),
-            np.zeros((count if self._with_infos else 0, score.TERMS + terms)), *NOTHING[6:],
-        )  # fmt: skip
-        if past and steps > 1:
-            filled = filled._replace(trajectories=np.empty((count, min(steps, past.pixels.stack), 12)))
+        self._finish()
+        steps, halt, loop, filled = self._repeat.steps, Halt(), compiled(run.run), self._unfilled()
         scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
-        controls = _NO_ACTIONS if actions is None else actions
-        before = present.blocks.copy() if steps > 1 else present.blocks  # several steps overwrite it
-        spare, calls, packed = self._spare, self._calls, self._packed
-        self._spare = self._calls = None
-        spare = np.zeros_like(before) if spare is None else spare
-        if calls is None or packed is not scenes or filled.trajectories.size:
-            calls = self._new_calls() if calls is None else calls
-            for call in calls:
-                call.prepare(scenes, self._rules, before, spare, controls, filled)
-        else:
-            for call in calls:
-                call.prepare_again(before, spare, controls, filled)
-        loop = compiled(run.run)
+        present = self._present.blocks
+        before, spare = present.copy() if steps > 1 else present, self._taken()  # several steps overwrite it
+        calls = self._prepared(scenes, before, spare, _NO_ACTIONS if actions is None else actions, filled)
 
         # Threads that a second interruption left at work keep alive what the loop calls by its address.
         def work(thread: int, low: int, high: int, _called: Any = self._compiled) -> Ended:
             """Run blocks; if some fail, return the earliest failure, which does not depend on the number of threads."""
             earliest = ended = run_blocks(loop, calls, thread, low, high, halt)
-            while ended[0] and not halt.requested and ended[1] // width + 1 < high:
-                ended = run_blocks(loop, calls, thread, ended[1] // width + 1, high, halt)
+            while ended[0] and not halt.requested and ended[1] // self._width + 1 < high:
+                ended = run_blocks(loop, calls, thread, ended[1] // self._width + 1, high, halt)
                 earliest = ended if ended[0] and ended[2] < earliest[2] else earliest
             return earliest
 
-        width = before.shape[2]
         parts = self._threads.run(work, len(before), grain=_GRAIN, halt=halt)
-        self._packed = scenes
-        self._calls = calls
+        self._calls = calls, scenes
         failures = [(made, number, ended) for ended, number, made, *_ in parts if ended]
         if failures:
             self._spare = spare
             made, number, ended = min(failures)
             if ended == Status.NO_DRIVE and made >= ahead:
-                return self.step(actions, 10 * ahead)
+                return self.prepare_step(actions, 10 * ahead)
             raise self._failure(ended, number, actions, made, filled.observations)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         return self._outcome(filled, finished, after, actions)
+
+    def _unfilled(self) -> Results:
+        """Memory for the results of a step."""
+        count, several, pixels = self._count, self._repeat.steps > 1, self._nouns.pixels
+        shown = min(self._repeat.steps, pixels.stack) if several and pixels else 0
+        return Results(
+            observations=np.empty((0 if pixels else count, len(self._nouns.observation.names)), np.float32),
+            rewards=np.zeros((1, count)),
+            returns=np.zeros(count if several else 0),
+            terminations=np.zeros(count, dtype=np.bool_),
+            truncations=np.zeros(count, dtype=np.bool_),
+            reports=np.zeros((count if self._with_infos else 0, score.TERMS + len(self._nouns.task.terms))),
+            trajectories=np.empty((count if shown else 0, shown, 12)),
+        )
+
+    def _prepared(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
+        """A call for each thread. They are not stored while threads use them."""
+        stored, self._calls = self._calls, None
+        if stored and stored[1] is scenes and not filled.trajectories.size:
+            calls = stored[0]
+            for call in calls:
+                call.prepare_again(before, spare, controls, filled)
+        else:
+            calls = stored[0] if stored else [Call(new_memory(self._width)) for _ in range(self._threads.count)]
+            for call in calls:
+                call.prepare(scenes, self._rules, before, spare, controls, filled)
+        return calls
 
     def _outcome(self, filled: Results, finished: int, after: Array, actions: Array | None) -> Outcome:
         """The outcome of a step under ``actions``, which ends with the blocks ``after``."""
@@ -390,7 +398,7 @@ class ExactBatch:
             past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
             observations, rewards, filled.terminations, filled.truncations, infos, finished,
-            Present(after, scenes, (self._present.blocks, actions), None, past),
+            Present(after, scenes, last=(self._present.blocks, actions), past=past),
         )  # fmt: skip
 
     def _scenes_of_steps(self, torque: int, steps: int, ahead: int) -> Scenes:

@@ -3,34 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import add
-from typing import Any, NamedTuple
-
-from numpy.typing import NDArray
 
 from jackbox_env.model.action import clipped_share
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.states import Array
-from jackbox_env.model.tasks import checked_reward
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.agent_functions import Functions
-
-_new: Callable[..., ControlStep] = tuple.__new__
-
-
-class ControlStep(NamedTuple):
-    """Results of one control step of a decision."""
-
-    state: Array  # at its end, (12,)
-    time: float  # at its end [s]
-    torque: float  # mean [N m]
-    impacts: Sequence[Impact]
-    impulse: float  # [N s]
-    terms: Sequence[float]  # of the reward
-    reward: float
-    over: bool  # whether it terminates the episode
-    seen: NDArray[Any]  # observation at its end, or empty
+from jackbox_env.simulators.plain_functions import ControlStep
 
 
 def decide(
@@ -88,7 +69,4 @@ def _control_step(
     if controls is not None:
         share = clipped_share(functions.share(simulator.state, controls, simulator.time, dt))
         torque = share * simulator.scene.torque_limit
-    state, time, mean, impacts, impulse, observation, terms, over = functions.step(simulator, dt, torque, seen)
-    reward = checked_reward(functions.nouns.task, terms)
-    # Twice as fast as ControlStep(...).
-    return _new(ControlStep, (state, time, mean, impacts, impulse, terms, reward, over, observation))
+    return functions.step_and_score(simulator, dt, torque, seen)

@@ -9,37 +9,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
-from numpy.typing import NDArray
 
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.infos import blank
-from jackbox_env.envs.single import JackInBoxEnv, go_back, moment, put
+from jackbox_env.envs.single import JackInBoxEnv, Snapshot
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, Flags, Floats, Indices
+from jackbox_env.model.states import Array, Counts, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators import Impact
 
 
 class Present(NamedTuple):
-    """The environments of a batch: replaced by one assignment, so that an interruption cannot leave a part of it."""
+    """The environments of a batch. What is in use is never written."""
 
-    states: Array  # (N, 12)
-    times: Array  # (N,) [s]
-    counts: NDArray[np.int64]  # control steps and decisions of the episodes, (2, N)
+    envs: list[Snapshot]
+    decisions: Counts  # of the episodes, (N,)
     over: Flags  # (N,)
     generators: list[np.random.Generator]
-    scenes: list[Scene]
 
 
 class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
-    :meth:`draw`, :meth:`step` and :meth:`start` may raise, and change nothing: they return what :meth:`take` then makes
-    the present. :class:`jackbox_env.envs.compiled_batch.ExactBatch` has the same methods.
-
-    A step and a start move the environments. If they are not taken, these go back to the moment before at their next
-    use.
+    ``batch.py`` states how it changes. To *prepare* moves the environments themselves; to *finish* returns them to
+    their snapshots in :class:`Present`, unless they are there.
     """
 
     def __init__(
@@ -57,21 +51,20 @@ class SingleBatch:
         self._with_infos, self._randomize, self._limits = with_infos, randomize, limits
         self._nouns = self._envs[0].nouns
         self._present = Present(
-            np.array([env.state for env in self._envs]), np.zeros(num_envs), np.zeros((2, num_envs), dtype=np.int64),
-            np.zeros(num_envs, dtype=np.bool_), [np_random()[0] for _ in range(num_envs)], list(self._originals),
+            [env._snapshot() for env in self._envs], np.zeros(num_envs, dtype=np.int64),
+            np.zeros(num_envs, dtype=np.bool_), [np_random()[0] for _ in range(num_envs)],
         )  # fmt: skip
-        # The present from which environments have moved, and the moments to which they go back if it stays.
-        self._moved: tuple[Present, list[tuple[Any, ...]]] | None = None
+        self._moved_to: Present | None = self._present  # where the environments are; None: they move
 
     @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return self._present.states.copy()
+        return np.array([env.present.state for env in self._present.envs])
 
     @property
     def times(self) -> Array:
         """A copy of all times [s], shape (N,)."""
-        return self._present.times.copy()
+        return np.array([env.present.time for env in self._present.envs])
 
     @property
     def over(self) -> Flags:
@@ -81,17 +74,17 @@ class SingleBatch:
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
-            return self._present.scenes[number]
+            return self._present.envs[number].scene
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
-        return np.array([getattr(scene, name) for scene in self._present.scenes], dtype=np.float64)
+        return np.array([getattr(env.scene, name) for env in self._present.envs], dtype=np.float64)
 
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""
-        self._gather()
+        self._finish()
         return self._envs[number].impacts
 
     # -- episodes -----------------------------------------------------------------------------------------------------
@@ -124,12 +117,12 @@ class SingleBatch:
                 scenes.append(self._originals[number].changed(**{**drawn, **(changes[index] if changes else {})}))
                 self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
-                scene = scenes[-1] if scenes else self._present.scenes[number]
+                scene = scenes[-1] if scenes else self.scene(number)
                 states.append(draw_start(self._nouns.task, scene, generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
-    def start(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
-        """What :meth:`take` makes the present if episodes begin now, or ``after`` a step.
+    def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+        """The environments once episodes begin: now, or ``after`` a step.
 
         Their observations are written into their rows, shape (N, numbers).
 
@@ -137,14 +130,13 @@ class SingleBatch:
             TypeError: the function of a user's observation returns a wrong type.
             TaskError: a number of an observation is NaN.
         """
-        after, numbers = self._changing() if after is None else after, starts.numbers
+        after, numbers = self._prepare() if after is None else after, starts.numbers
         for index, number in enumerate(numbers.tolist()):
+            scene = self.scene(number) if starts.scenes is None else starts.scenes[index]
+            time = 0.0 if starts.times is None else float(starts.times[index])
+            self._place(number, scene, starts.states[index], time, after)
             after.generators[number] = starts.generators[index]
-            if starts.scenes is not None:
-                after.scenes[number] = starts.scenes[index]
-        after.states[numbers], after.times[numbers] = starts.states, 0.0 if starts.times is None else starts.times
-        after.counts[:, numbers], after.over[numbers] = 0, False
-        self._put(numbers, after)
+        after.decisions[numbers], after.over[numbers] = 0, False
         self._observe(numbers, observations)
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
@@ -155,32 +147,36 @@ class SingleBatch:
 
         Their episodes continue. A finished episode starts anew.
         """
-        after = self._changing()
-        after.states[chosen], after.times[chosen] = states[chosen], times[chosen]
-        anew = chosen & after.over
-        after.counts[:, anew], after.over[anew] = 0, False
-        self._put(np.flatnonzero(chosen), after)
-        self.take(after)
+        after, anew = self._prepare(), chosen & self._present.over
+        for number in np.flatnonzero(chosen).tolist():
+            steps = 0 if anew[number] else self._envs[number].elapsed_steps
+            self._place(number, self.scene(number), states[number], float(times[number]), after, steps)
+        after.decisions[anew], after.over[anew] = 0, False
+        self.commit(after)
 
-    def _put(self, numbers: Indices, after: Present) -> None:
-        """Set some environments to scenes, states and times."""
-        for number in numbers.tolist():
-            time, steps = float(after.times[number]), int(after.counts[0, number])
-            put(self._envs[number], after.scenes[number], after.states[number], time, steps)
+    def _place(self, number: int, scene: Scene, state: Array, time: float, after: Present, steps: int = 0) -> None:
+        """Set an environment's scene, state, time [s] and control steps of its episode, now and in ``after``."""
+        env = self._envs[number]
+        env._place(env._parts_for(scene), state, time, steps)
+        after.envs[number] = env._snapshot()
 
-    def _changing(self) -> Present:
+    def _prepare(self) -> Present:
         """A copy of the present to be changed, whose environments may move."""
-        self._gather()
-        self._moved = self._present, [moment(env) for env in self._envs]
+        self._finish()
+        self._moved_to = None
         return Present._make(map(copy.copy, self._present))
 
-    def _gather(self) -> None:
-        """Undo a step or a start that was not taken."""
-        if self._moved is not None:
-            present, moments = self._moved
-            for env, before in zip(self._envs, moments, strict=True) if present is self._present else ():
-                go_back(env, before)
-            self._moved = None
+    def commit(self, after: Present) -> None:
+        """Replace the present environments by those of a step or of starts."""
+        self._present = after
+        self._moved_to = after
+
+    def _finish(self) -> None:
+        """Return environments that have moved to the present."""
+        if self._moved_to is not self._present:
+            for env, snapshot in zip(self._envs, self._present.envs, strict=True):
+                env._restore(snapshot)
+            self._moved_to = self._present
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
         """Write the observations of some environments into their rows, shape (N, numbers).
@@ -188,7 +184,7 @@ class SingleBatch:
         Raises:
             TaskError: a number of an observation is NaN.
         """
-        self._gather()
+        self._finish()
         self._observe(numbers, observations)
 
     def _observe(self, numbers: Indices, observations: Floats) -> None:
@@ -198,8 +194,8 @@ class SingleBatch:
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
-    def step(self, actions: Array | None) -> Outcome:
-        """Step all under ``actions``, shape (n, N), or under the scene's drive; nothing changes before :meth:`take`.
+    def prepare_step(self, actions: Array | None) -> Outcome:
+        """Step all under ``actions``, shape (n, N), or under the scene's drive.
 
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
@@ -208,19 +204,17 @@ class SingleBatch:
         observations, rewards = self._nouns.unfilled(count), np.zeros(count)
         infos = blank(self._nouns.task.terms if self._with_infos else None, count)
         chosen = [None] * count if actions is None else self._as_singles(actions, going)
-        after = self._changing()
-        counts = after.counts
         terminations, truncations = np.zeros((2, count), dtype=np.bool_)
+        after, (steps, decisions) = self._prepare(), self._limits
         for number in going:
             env = self._envs[number]
             with within(number):
                 observations[number], rewards[number], terminations[number], _, info = env.step(chosen[number])
-            after.states[number], after.times[number] = info["state"], info["time"]
             for name, values in infos.items():
                 values[number] = info[name]
-            counts[:, number] = env.elapsed_steps, counts[1, number] + 1
-            steps, decisions = self._limits
-            truncations[number] = counts[0, number] >= steps or counts[1, number] >= decisions
+            after.envs[number] = env._snapshot()
+            after.decisions[number] += 1
+            truncations[number] = env.elapsed_steps >= steps or after.decisions[number] >= decisions
         ended = terminations | truncations
         after.over[ended] = True
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
@@ -234,14 +228,9 @@ class SingleBatch:
             return list(np.ascontiguousarray(actions.T))
         return [int(choice) for choice in actions[0].tolist()]
 
-    def take(self, after: Present) -> None:
-        """Replace the present environments by those of a step or of :meth:`start`."""
-        self._present = after
-        self._moved = None
-
     def render(self) -> tuple[Any, ...]:
         """A frame of each environment."""
-        self._gather()
+        self._finish()
         return tuple(env.render() for env in self._envs)
 
     def close(self) -> None:

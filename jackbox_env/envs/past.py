@@ -63,7 +63,7 @@ class Past(NamedTuple):
             for first in range(low, 0 if halt.requested else high, step):
                 some = slice(first, min(first + step, high))
                 values = rows[some] if len(rows) > 1 else rows
-                compiled(draw)(frames, numbers[some], self.poses, values, view, GREYS, True)
+                compiled(draw)(frames, numbers[some], self.poses, values, view, GREYS)
 
         threads.run(work, len(numbers), grain=self.grain, halt=halt)
         return frames

@@ -10,14 +10,14 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.decisions import ControlStep, decide
+from jackbox_env.envs.decisions import decide
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.settings import Settings
 from jackbox_env.exact.threads import Threads
@@ -28,9 +28,10 @@ from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
-from jackbox_env.simulators import Impact, Simulator, make_simulator
-from jackbox_env.simulators.agent_functions import Functions, Nouns, make_functions, tried
+from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
+from jackbox_env.simulators.agent_functions import Functions, make_functions
 from jackbox_env.simulators.fidelity import FURTHER, resolve
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns, tried
 from jackbox_env.tools import checks as check
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
@@ -44,6 +45,22 @@ _KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the righ
     ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
 }  # fmt: skip
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
+
+
+class Snapshot(NamedTuple):
+    """All of an environment that steps and resets change, but its generator and the frames of a list."""
+
+    parts: tuple[Simulator, Functions]
+    present: StepResult
+    elapsed_steps: int
+    impacts: Sequence[Impact] | None
+    past: Past | None
+    picture: Any
+
+    @property
+    def scene(self) -> Scene:
+        """The scene then."""
+        return self.parts[0].scene
 
 
 class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
@@ -165,7 +182,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
     | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
     | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
     | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
-    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone; below 400 it is faster   |
+    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone                           |
 
     `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
     up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any
@@ -276,7 +293,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     def _parts_for(self, scene: Scene) -> tuple[Simulator, Functions]:
         """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
-        return self.simulator_of(scene), self._parts[1].of(scene)
+        return self._parts if scene == self.scene else (self.simulator_of(scene), self._parts[1].of(scene))
 
     @property
     def _simulator(self) -> Simulator:
@@ -340,14 +357,14 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         generator = self.np_random if seed is None else np_random(seed)[0]
         if self.nouns.task.start is not None:  # it may change more than the bits' state
             generator = copy.deepcopy(generator)
-        bits = generator.bit_generator.state
+        bits = generator.bit_generator.state  # faster than a copy
         try:
             scene = self._next_scene(generator, options.get("scene"))
             if options.get("state") is None:
                 state = tasks.draw_start(self.nouns.task, scene, generator)
             else:
                 state = as_start(scene, options["state"])
-            parts = self._parts if scene == self.scene else self._parts_for(scene)
+            parts = self._parts_for(scene)
             if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
                 tried(parts[1], state)
             observation = parts[1].observe(state, time)
@@ -356,8 +373,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             raise
         super().reset(seed=seed)
         self._np_random = generator
-        parts[0].reset(state, time)
-        self._adopt(parts)
+        self._place(parts, state, time)
         observation = observation if self._past is None else self._pictures(self._past)
         if self.render_mode == "human":
             self.render()
@@ -373,8 +389,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         drawn = self._randomize.draw(self._first_scene, generator)
         return self._first_scene.changed(**{**drawn, **(changes or {})})
 
-    def _adopt(self, parts: tuple[Simulator, Functions], steps: int = 0) -> None:
-        """Continue with a simulator whose state is set, after some control steps of the episode, and draw it."""
+    def _place(self, parts: tuple[Simulator, Functions], state: Array, time: float, steps: int = 0) -> None:
+        """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
+        parts[0].reset(state, time)
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
         self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
@@ -473,6 +490,21 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
         return keys
 
+    # -- for batches --------------------------------------------------------------------------------------------------
+
+    def _snapshot(self) -> Snapshot:
+        """The environment as it is now, for :meth:`_restore`."""
+        picture = None if self._renderer is None else self._renderer.snapshot()
+        return Snapshot(self._parts, self._parts[0].snapshot(), self.elapsed_steps, self._impacts, self._past, picture)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Return to the moment of a :meth:`_snapshot`."""
+        self._parts, present, self.elapsed_steps, self._impacts, self._past, picture = snapshot
+        self._parts[0].restore(present)
+        if self._renderer is not None:
+            self._renderer.show(self.scene)
+            self._renderer.restore(picture)
+
     # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: AnyAction) -> float:
@@ -516,27 +548,3 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             self._renderer.reset(self._simulator.state, self._simulator.time)
         if self._renderer is not None and self.render_mode == "rgb_array_list":
             self._frames = [self._renderer.drawn()]
-
-
-def put(env: JackInBoxEnv, scene: Scene, state: Array, time: float, steps: int) -> None:
-    """Set an environment's scene, state, time [s] and control steps of its episode, which are checked.
-
-    Batches of environments use it.
-    """
-    parts = env._parts if scene == env.scene else env._parts_for(scene)
-    parts[0].reset(state, time)
-    env._adopt(parts, steps)
-
-
-def moment(env: JackInBoxEnv) -> tuple[Any, ...]:
-    """An environment's state, last step and picture now, for :func:`go_back`."""
-    picture = None if env._renderer is None else env._renderer.snapshot()
-    return env._parts, env._parts[0].snapshot(), env.elapsed_steps, env._impacts, env._past, picture
-
-
-def go_back(env: JackInBoxEnv, to: tuple[Any, ...]) -> None:
-    """Undo the steps of an environment since a :func:`moment`. Batches of environments use it."""
-    env._parts, present, env.elapsed_steps, env._impacts, env._past, picture = to
-    env._parts[0].restore(present)
-    if env._renderer is not None:
-        env._renderer.restore(picture)

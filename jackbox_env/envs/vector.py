@@ -18,10 +18,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.arguments import Arguments
+from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.batch import Limits
 from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
-from jackbox_env.envs.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats
@@ -316,12 +315,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             placed = plan.states(lambda number: self._batch.scene(number, starts))
             starts = starts._replace(states=placed[numbers])
         observations = self._observed(np.flatnonzero(~plan.chosen))
-        after: Any = self._batch.start(starts._replace(times=plan.times[numbers]), observations)
+        after: Any = self._batch.prepare_starts(starts._replace(times=plan.times[numbers]), observations)
         known = list(self._seeds)
         for number, new in zip(numbers.tolist(), seeds, strict=True):
             known[number] = known[number] if new is None else new
         self.changes += 1
-        self._batch.take(after)
+        self._batch.commit(after)
         self._seeds, self._started = known, self._started | plan.chosen
         self._ready = bool(self._started.all())
         infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
@@ -353,16 +352,17 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             checked = self._arguments.actions(self._nouns.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         restarting = waiting
-        outcome = self._batch.step(checked)
+        outcome = self._batch.prepare_step(checked)
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended
         after = outcome.after
         if restarting is not None:
-            after = self._batch.start(self._batch.draw(np.flatnonzero(restarting)), outcome.observations, after)
+            starts = self._batch.draw(np.flatnonzero(restarting))
+            after = self._batch.prepare_starts(starts, outcome.observations, after)
         self._waiting = waiting is not None or (outcome.finished > 0 and self._mode is not AutoresetMode.SAME_STEP)
         self.changes += 1
-        self._batch.take(after)
+        self._batch.commit(after)
         if restarting is not None:
             starting = self._infos_at_start(restarting)
             for name in starting.keys() & outcome.infos.keys():

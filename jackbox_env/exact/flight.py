@@ -11,7 +11,7 @@ and T its length. Its integrals once and twice from that start are such sums too
 3 * acceleration + order of integration of a workspace's ``powers``.
 
 Exactness: rounding. The chirp's powers are its Taylor series about the piece's middle, with pieces of at most a sixth
-of a turn. The powers of a drive's functions go through 13 values (``functions.py``), in the Chebyshev points of the
+of a turn. The powers of a drive's functions go through 13 values (``drives.py``), in the Chebyshev points of the
 second kind, both ends of [-1, 1] among them. Points are literals and sums have a written order, so the result is the
 same on every machine (Trefethen 2013, "Approximation Theory and Approximation Practice", ch. 3 and 4).
 """

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jackbox_env.exact.workspace import make_numbers
 from jackbox_env.model.scene import SceneNumbers, remainder
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -32,6 +33,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    clearance,
 )
 
 LARGEST = 1e6  # [rad] that one reduction covers
@@ -218,3 +220,22 @@ def foot_gap(
     """
     gap, lever = gap_and_lever(scene, ahead, cosine, sine, turn)
     return gap, lever * spin - speed
+
+
+_ORDINARY = 1e9  # over L: smaller numbers of a state need no check in Python
+
+
+def outside(values: Array, states: Array, deepest: Array) -> int:
+    """The first of the states, shape (N, 12), that a check in Python may refuse, or -1.
+
+    ``values`` has one scene for all states or one for each, ``deepest`` the allowed depth of a foot in each [m].
+    """
+    for i in range(states.shape[0]):
+        row = i if values.shape[0] > 1 else 0
+        scene = make_numbers(values[row])
+        for column in range(12):
+            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
+                return i
+        if not -clearance(scene, states[i]) <= deepest[row]:
+            return i
+    return -1

@@ -1,11 +1,11 @@
 """What tasks, observations and actions compute, in compiled code: of one state or of a block of rows.
 
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
-or :func:`observe_rows` after the last one. Single environments call :func:`judge` and :func:`act_one`. All are called
-by their address (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with its
-functions in place of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run``
-and ``judge`` are compiled once. For a user's observation :func:`observe_values` replaces :func:`observe`. The default
-observation has a block function of its own, :func:`observe_block`.
+or :func:`observe_rows` after the last one. Single environments call :func:`step_and_score` and :func:`act_one`. All are
+called by their address (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with
+its functions in place of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while
+``run`` and ``step_and_score`` are compiled once. For a user's observation :func:`observe_values` replaces
+:func:`observe`. The default observation has a block function of its own, :func:`observe_block`.
 """
 
 from __future__ import annotations
@@ -252,70 +252,55 @@ def score_one(values: Array, state: Array, torque: float, impulse: float, terms:
     return task_over(scene, named, torque, impulse)
 
 
-class JudgedScene(NamedTuple):
-    """What :func:`judge` reads and writes for the states of one scene."""
+class Scoring(NamedTuple):
+    """What observes and scores the states of one scene, and where the results are written."""
 
     values: Array  # the scene's numbers
     terms: Array  # of the reward, to be written
+    verdict: Counts  # shape (1,), to be written: 1 if the episode is over, 0 if not, -1 if an observation is NaN
+    observation: Floats  # to be written; of length 0: not wanted
     observer: Any  # address of ``observe_one``
     scorer: Any  # address of :func:`score_one`
 
 
-def example() -> JudgedScene:
-    """Arguments of the types that :func:`judge` is compiled for."""
-    return JudgedScene(np.zeros(1), np.zeros(1), 0, 0)
+def example() -> Scoring:
+    """A scoring of the types that :func:`step_and_score` is compiled for."""
+    return Scoring(np.zeros(1), np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.float32), 0, 0)
 
 
-judged_at = unpacked_as(example)
+scoring_at = unpacked_as(example)
 
 
-def pack_judged(memory: Array, values: Array, terms: Array, observer: Any, scorer: Any) -> Any:
-    """Store the arguments of :func:`judge` in ``memory``; return the address there."""
-    return packed(memory.ctypes.data, JudgedScene(values, terms, observer, scorer))
-
-
-def judge(address: Any, state: Array, time: float, torque: float, impulse: float, observation: Floats) -> int:
-    """Observe and score one state, in one call from Python.
-
-    Args:
-        address: of a :class:`JudgedScene`.
-        state: 12 numbers.
-        time: [s].
-        torque: mean over the step [N m].
-        impulse: of the step's impacts [N s].
-        observation: to be written; of length 0: not wanted.
-
-    Returns:
-        1 if the episode is over, 0 if not, -1 if an observation is NaN.
-    """
-    values, terms, observer, scorer = judged_at(address)
-    over = row_scorer(scorer)(values, state, torque, impulse, terms)
-    if observation.shape[0] and not row_observer(observer)(values, state, time, observation):
-        return -1
-    return 1 if over else 0
+def pack_scoring(
+    memory: Array, values: Array, terms: Array, verdict: Counts, observation: Floats, observer: Any, scorer: Any
+) -> Any:
+    """Store a :class:`Scoring` in ``memory``; return the address there."""
+    return packed(memory.ctypes.data, Scoring(values, terms, verdict, observation, observer, scorer))
 
 
 one_row: Any = called_at(lambda t: t.UniTuple(t.i8, 5)(t.i8, t.i8, t.i8, t.i8))
 
 
-def step_and_judge(run: Any, address: Any, judged: Any, observation: Floats) -> tuple[int, int, int]:
-    """Step the only row of a call, and :func:`judge` its state, in one call from Python.
+def step_and_score(run: Any, address: Any, scoring: Any) -> tuple[int, int]:
+    """Step the only row of a call, then observe and score its state, in one call from Python.
 
     Args:
         run: address of ``run.run``.
         address: of its arguments.
-        judged: of the arguments of :func:`judge`.
-        observation: to be written; of length 0: not wanted.
+        scoring: address of a :class:`Scoring`; 0: none.
 
     Returns:
-        How it ended, the number of recorded impacts, and what :func:`judge` returns, 0 if the step is not DONE.
+        How the step ended, and the number of recorded impacts.
     """
     ended, _, _, _, hits = one_row(run)(address, 0, 1, 0)
-    if ended != Status.DONE.value:
-        return ended, hits, 0
-    call = arguments_at(address)
-    row, torque, impulse = call.after[0].reshape(WIDTH), call.memory.scratch[TORQUE], call.memory.scratch[IMPULSE_SUM]
-    return ended, hits, judge(judged, row[:12], row[TIME], torque[0], impulse[0], observation)
+    if ended == Status.DONE.value and scoring != 0:
+        call, to = arguments_at(address), scoring_at(scoring)
+        row, scratch = call.after[0].reshape(WIDTH), call.memory.scratch
+        over = row_scorer(to.scorer)(to.values, row[:12], scratch[TORQUE, 0], scratch[IMPULSE_SUM, 0], to.terms)
+        to.verdict[0] = 1 if over else 0
+        if to.observation.shape[0] and not row_observer(to.observer)(to.values, row[:12], row[TIME], to.observation):
+            to.verdict[0] = -1
+    return ended, hits
 
 
 def score_block(

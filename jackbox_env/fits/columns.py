@@ -167,7 +167,7 @@ def rounding_of(times: Array) -> float:
 
 
 def _gaps(steps: Array, rounding: float) -> Array:
-    """How many frames each step of time has.
+    """The number of frames in each step of time.
 
     If coarse rounding leaves doubt, there are as many frames a second as the slowest usual rate allows.
     """

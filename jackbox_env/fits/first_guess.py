@@ -1,4 +1,4 @@
-"""What recordings determine without a search: flights, the impacts between them, and a guess of the fields.
+"""A first guess from recordings without a search: flights, the impacts between them, and a guess of the fields.
 
 Between impacts the jack flies on a parabola with constant spin. So its numbers, with the fall added, are broken lines
 in time. Pieces of two rows are merged while one line fits both within the noise (bottom-up segmentation; Keogh et al.
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.fits.least_squares import Indices
-from jackbox_env.fits.recordings import Recording
+from jackbox_env.fits.observed import Recording
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import (
@@ -34,10 +34,8 @@ from jackbox_env.model.states import (
 )
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.fit", "scipy", "train"):
     from scipy.optimize import least_squares
-except ImportError as error:
-    raise ImportError(check.extra_needed("jackbox_env.fit", "scipy", "train")) from error
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)
@@ -66,7 +64,7 @@ class Flights(NamedTuple):
 
 
 def falls(recording: Recording, scene: Scene) -> Array:
-    """What is added to the six positions so that they are straight between impacts, (H + 1, 6)."""
+    """Terms that make the six positions straight between impacts when added, (H + 1, 6)."""
     times, added = np.arange(len(recording.states)) * recording.dt, np.zeros((len(recording.states), RATES))
     added[:, Y_JACK] = 0.5 * scene.gravity * times**2
     torques = recording.torques
@@ -175,7 +173,7 @@ def lost_frames_of(recording: Recording, scene: Scene) -> list[int]:
 
 
 def _merged(times: Any, values: Array) -> Indices:
-    """Where the straight pieces of values of noise 1 begin, shape (pieces,)."""
+    """The rows at which straight pieces of values of noise 1 begin, shape (pieces,)."""
     first = np.arange(0, len(times), 2)
     products = np.column_stack([np.ones(len(times)), times, times**2, values, values * times[:, None], values**2])
     sums = np.add.reduceat(products, first, axis=0)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.least_squares import Chain
+from jackbox_env.fits.observed import Recording, known_noise
 from jackbox_env.fits.outcome import outcome_of
-from jackbox_env.fits.recordings import Recording, known_noise
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, Search
 from jackbox_env.fits.shooting import Parameters, Shooting
@@ -27,10 +27,8 @@ from jackbox_env.fits.windows import cut_all, go_on, leave_out_bad_rows, resume
 from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.fit", "tqdm", "train"):
     from tqdm import tqdm
-except ImportError as error:
-    raise ImportError(check.extra_needed("jackbox_env.fit", "tqdm", "train")) from error
 
 _LEAST_SEEN = 10  # rows and impacts; fewer determine no field and no noise
 _MAY_DROP, _MOST_DROPPED = 2, 0.2  # windows, or their share, that may turn out not to fit as links are tightened

@@ -62,7 +62,7 @@ class Step(NamedTuple):
 
     @property
     def unknowns(self) -> Array:
-        """Of all unknowns, fields first, shape (F + 12 windows,)."""
+        """The step of all unknowns, fields first, shape (F + 12 windows,)."""
         return np.concatenate([self.fields, self.starts.ravel()])
 
 
@@ -107,7 +107,7 @@ class Chain:
         return self._eliminate(0.0)[2][:, : self.rows.fields]
 
     def moves(self, fitted: int) -> Array:
-        """By how many standard deviations each field after the first would move if it was fitted with those, (k,).
+        """The standard deviations by which each field after the first would move if it was fitted too, (k,).
 
         0 for a field whose standard deviation would be above :data:`UNIDENTIFIABLE`.
         """
@@ -187,7 +187,7 @@ def _solve(stack: Array, width: int) -> tuple[_Eliminated, Array]:
 
 
 def _triangle(rows: Array) -> Array:
-    """As many rows as columns at most, with the same products of columns."""
+    """A matrix of at most as many rows as columns, with the same products of columns."""
     if len(rows) <= rows.shape[1]:
         return rows
     if len(rows) > _AT_ONCE:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
-from jackbox_env.fits.recordings import IMPACT, pushed
+from jackbox_env.fits.observed import IMPACT, pushed
 from jackbox_env.fits.residuals import (
     autocorrelations,
     degrees_of_freedom,
@@ -146,7 +146,7 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
 
 
 def _not_followed(search: Search) -> tuple[int, list[float]]:
-    """How many windows should be linked to the next one, and by recording how long the jack moves in none [s]."""
+    """The number of missing links between windows, and by recording the time in which the jack moves in none [s]."""
     joints, seconds = 0, list[float]()
     for number, modelled in enumerate(search.motions()[0]):
         missing, flown = np.isnan(modelled[1:, X_JACK]), search.flown[number]

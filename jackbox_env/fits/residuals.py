@@ -27,7 +27,7 @@ def highest_mean_square(count: int) -> float:
 
 
 def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
-    """Which windows do not fit, shape (windows,): their mean square residual is far above that of most."""
+    """The windows that do not fit, shape (windows,): their mean square residual is far above that of most."""
     seen = rows.column >= 0
     counts = np.bincount(rows.window[seen], minlength=windows)
     square = np.bincount(rows.window[seen], rows.residuals[seen] ** 2, windows) / np.maximum(counts, 1)
@@ -38,7 +38,7 @@ def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
 
 
 def jumps(rows: Rows, windows: int, slack: float, noise: float) -> Array:
-    """How far the end of each window is from the start of the next one that it is linked to, shape (windows,).
+    """The distances from the end of each window to the start of the next one that it is linked to, shape (windows,).
 
     In standard deviations of the noise: the largest of the gap in positions and angles over ``noise``, and of what the
     gap moves the next window's observations by. So it does not matter how fast the motion is. ``slack`` is the links',

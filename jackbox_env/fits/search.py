@@ -15,7 +15,7 @@ import numpy as np
 
 from jackbox_env.fits.first_guess import flights_of, lost_frames_of, spikes_of
 from jackbox_env.fits.least_squares import Chain, Indices, Rows, minimise
-from jackbox_env.fits.recordings import Recording, rough_noise
+from jackbox_env.fits.observed import Recording, rough_noise
 from jackbox_env.fits.residuals import highest_mean_square, leverage, misfitting
 from jackbox_env.fits.shooting import MOST_IMPACTS, Parameters, Shooting, Window, followed, motion, motions, units
 from jackbox_env.model.states import THETA_JACK, Array

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Indices, Rows
-from jackbox_env.fits.recordings import Recording, state_at
+from jackbox_env.fits.observed import Recording, state_at
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 from jackbox_env.planning.linearization import linearize
@@ -46,7 +46,7 @@ class Window:
     start: Array = field(default_factory=lambda: np.zeros(12))
 
 
-class Motion(NamedTuple):
+class WindowMotion(NamedTuple):
     """A window's motion by the model."""
 
     states: Array  # (steps + 1, 12)
@@ -87,7 +87,7 @@ class Parameters:
         return self.start.changed(**dict(zip(self.fields, self.values(numbers).tolist(), strict=True)))
 
     def slopes(self, numbers: Array) -> Array:
-        """How the fields' values change with the numbers, shape (F,)."""
+        """Derivatives of the fields' values by the numbers, shape (F,)."""
         return np.where(self.logarithmic, self.values(numbers), self._unit)
 
 
@@ -100,16 +100,16 @@ def units(scene: Scene) -> Array:
 
 def motions(
     recordings: Sequence[Recording], windows: Sequence[Window], parameters: Parameters, numbers: Array
-) -> list[Motion | None]:
+) -> list[WindowMotion | None]:
     """The motions of windows from their starts; None for those that the model cannot follow.
 
     Windows of about the same length, of a recording, are played in one call: each as long as the longest.
     """
-    groups, results = dict[tuple[int, int], list[int]](), dict[int, Motion | None]()
+    groups, results = dict[tuple[int, int], list[int]](), dict[int, WindowMotion | None]()
     for index, window in enumerate(windows):
         groups.setdefault((window.recording, (window.last - window.first) // _GROUPED), []).append(index)
     for (recording, _), members in groups.items():
-        played: Sequence[Motion | None] | None = _played(
+        played: Sequence[WindowMotion | None] | None = _played(
             recordings[recording], [windows[index] for index in members], parameters, numbers
         )
         if played is None:  # what comes after a shorter one may be at fault
@@ -120,7 +120,7 @@ def motions(
 
 def _played(
     recording: Recording, windows: Sequence[Window], parameters: Parameters, numbers: Array
-) -> list[Motion] | None:
+) -> list[WindowMotion] | None:
     """The motions of windows of a recording; None if the model cannot follow one."""
     torques = recording.torques
     parts = 1 if torques is None else torques.size // len(torques)  # of a step
@@ -146,7 +146,7 @@ def _played(
     for k in range(int(smooth.max())):
         np.matmul(by_state[:, k], jacobians[k], out=jacobians[k + 1])
         jacobians[k + 1, :, :, 12:] += by_field[:, k]
-    results = list[Motion]()
+    results = list[WindowMotion]()
     for row, (count, time) in enumerate(zip(counts, times, strict=True)):
         step, since, gradients = lin.impacts(row)
         usable = step < min(smooth[row], count)
@@ -155,17 +155,19 @@ def _played(
         times_jacobian = np.einsum("mi,mij->mj", gradients[:, :12], by_start[step])
         times_jacobian[:, 12:] += gradients[:, 13:] * slopes
         states, at = lin.trajectories[row, : count + 1 : parts], time + step * dt + since
-        results.append(Motion(states, by_start[::parts], min(int(smooth[row]), count) // parts, at, times_jacobian))
+        results.append(
+            WindowMotion(states, by_start[::parts], min(int(smooth[row]), count) // parts, at, times_jacobian)
+        )
     return results
 
 
-def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Motion | None:
+def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> WindowMotion | None:
     """The motion of a window from its start; None if the model cannot follow it."""
     played = _played(recording, [window], parameters, numbers)
     return None if played is None else played[0]
 
 
-def followed(window: Window, modelled: Motion | None, most: int) -> bool:
+def followed(window: Window, modelled: WindowMotion | None, most: int) -> bool:
     """Whether a window has derivatives to its end, and at most so many impacts, each with two rows or more."""
     steps = window.last - window.first
     return modelled is not None and modelled.smooth == steps and len(modelled.times) <= min(most, steps // _ROWS)
@@ -243,7 +245,7 @@ class Shooting:
         whole[:, :WIDTH], whole[:, 2 * WIDTH :] = jacobian[:, :WIDTH] * self.units, jacobian[:, WIDTH:]
         return whole
 
-    def _observed(self, index: int, window: Window, modelled: Motion, noise: Array) -> Rows:
+    def _observed(self, index: int, window: Window, modelled: WindowMotion, noise: Array) -> Rows:
         recording = self.recordings[window.recording]
         until = window.last + (0 if window.linked else 1)  # the last row belongs to the next window
         observed = recording.states[window.first : until]
@@ -262,7 +264,7 @@ class Shooting:
             column = np.concatenate([column, np.where(np.isin(np.arange(len(heard)), of_heard), 12, UNHEARD)])
         return Rows(off, self._spread(jacobian), column, np.full(len(off), index))
 
-    def _link(self, index: int, modelled: Motion, slack: float) -> Rows:
+    def _link(self, index: int, modelled: WindowMotion, slack: float) -> Rows:
         scale = slack * self.units
         jacobian = self._spread(modelled.jacobians[-1] / scale[:, None])
         jacobian[:, WIDTH : 2 * WIDTH] = -np.eye(WIDTH) / slack
@@ -309,7 +311,7 @@ def end_state(recording: Recording, window: Window, parameters: Parameters, numb
 
 
 def next_start(recording: Recording, window: Window, parameters: Parameters, numbers: Array, explained: bool) -> Array:
-    """Where the window after this one starts: the observed state, else the model's.
+    """The start of the window after this one: the observed state, else the model's.
 
     After a window that the model does not explain, its state is no guess: what is observed soon is taken in its stead.
     """

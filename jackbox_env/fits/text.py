@@ -118,7 +118,7 @@ def _width(rows: Sequence[Sequence[str]]) -> int:
 
 
 def _fitness(rows: Sequence[Sequence[str]]) -> tuple[bool, float, float]:
-    """How well a delimiter fits that makes several columns: headers, shares of usual rows and of values in them."""
+    """The fitness of a delimiter that makes several columns: headers, shares of usual rows and of values in them."""
     width, index = _width(rows), _header(rows)
     below = rows[(index or 0) + 1 :]
     usual = [row for row in below if len(row) >= width > 1]

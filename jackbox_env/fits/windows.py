@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
-from jackbox_env.fits.recordings import state_at
+from jackbox_env.fits.observed import state_at
 from jackbox_env.fits.search import FAR, MOST_BAD, MOST_SKIPPED, Search
 from jackbox_env.fits.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
 from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array

@@ -16,7 +16,8 @@ from typing import Any
 
 from jackbox_env.exact.workspace import Status
 from jackbox_env.gpu.row import SUBSTITUTES, arguments, play
-from jackbox_env.jit.compiler import UsersFunctions, cache_folders, intermediate_code
+from jackbox_env.jit.compiler import UsersFunctions, intermediate_code
+from jackbox_env.jit.folders import cache_folders
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.tools import files
 

@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 class Between(NamedTuple):
-    """What happened inside one control step; NaN if it cannot be determined."""
+    """The inside of one control step; NaN if it cannot be determined."""
 
     depth: float  # deepest that a foot was in a wall at an impact or at the step's end [m]; negative: none was
     work: float  # of torque and side forces on the box [J]

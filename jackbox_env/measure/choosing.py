@@ -10,11 +10,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jackbox_env.measure.accuracy import Case, at_ends, between, follow
 from jackbox_env.model.scene import Scene, scenes_of
-from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import Impact, Simulator, make_simulator
 from jackbox_env.simulators.fidelity import Setting
@@ -47,7 +45,6 @@ def cheapest(
     *,
     first_impact_error: float = math.inf,
     penetration: float = math.inf,
-    states: Sequence[ArrayLike] | None = None,
     cases: int = 12,
     steps: int = 250,
     control_dt: float = 0.02,
@@ -71,7 +68,6 @@ def cheapest(
         scene: a Scene, a dict of some of its fields, or None for the default scene; or a list of these.
         first_impact_error: largest error of the time of the first impact [s], > 0.
         penetration: deepest that a foot may be in a wall, at an impact or at the end of a control step [m], > 0.
-        states: starts, each of shape (12,), used in turn by each scene; None: the environment's own.
         cases: number of trajectories, 1 to 10,000, at least one for each scene. Those without an impact do not count.
         steps: control steps of each, 1 to 1,000,000.
         control_dt: control step [s].
@@ -96,7 +92,7 @@ def cheapest(
         check.choice("contact", contact, ("pymunk", "exact"))
     bounds = _bound("first_impact_error", first_impact_error), _bound("penetration", penetration)
     scenes = scenes_of(scene)[0]
-    drawn = _cases(scenes, states, cases, steps, control_dt, seed)
+    drawn = _cases(scenes, cases, steps, control_dt, seed)
     measured: list[Choice] = []
     try:
         for one in scenes:
@@ -141,7 +137,7 @@ def _within(choice: Choice, bounds: tuple[float, float]) -> bool:
 
 
 def _cases(
-    scenes: list[Scene], states: Sequence[ArrayLike] | None, cases: int, steps: int, control_dt: float, seed: int
+    scenes: list[Scene], cases: int, steps: int, control_dt: float, seed: int
 ) -> list[tuple[Case, list[Impact]]]:
     """Cases with an impact, and their first impacts; the scenes alternate."""
     check.whole("cases", cases, at_least=1, at_most=10_000)
@@ -150,12 +146,11 @@ def _cases(
     check.whole("steps", steps, at_least=1, at_most=1_000_000)
     rng = np.random.default_rng(check.whole("seed", seed, at_least=0))
     dt = check.real("control_dt", control_dt, above=0.0)
-    starts = _starts(scenes, states)
     drawn = []
     for number in range(cases):
         turn, index = divmod(number, len(scenes))
         scene = scenes[index]
-        start = sample_start(scene, rng) if starts is None else starts[turn % len(starts)]
+        start = sample_start(scene, rng)
         torques = rng.uniform(-scene.torque_limit, scene.torque_limit, steps).tolist()
         driven = scene.drive is not None and turn % 2 == 1
         case = Case(f"case {number}", scene, start, steps, None if driven else torques, dt)
@@ -164,25 +159,9 @@ def _cases(
             drawn.append((case, first))
     if not drawn:
         raise ValueError(
-            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases: pass more steps, or "
-            "states nearer to a wall"
+            f"no foot reaches a wall within {steps} steps of {dt:g} s in any of {cases} cases: pass more steps"
         )
     return drawn
-
-
-def _starts(scenes: list[Scene], states: Sequence[ArrayLike] | None) -> list[Array] | None:
-    """The starts, checked against each scene; None for the environment's own."""
-    if states is None:
-        return None
-    try:
-        listed = list(states)
-    except TypeError as error:
-        raise TypeError(f"states must be a list of starts, got {check.shown(states)}") from error
-    if not listed:
-        raise ValueError("states must have at least one start, got none")
-    for scene in scenes:
-        starts = [as_start(scene, state) for state in listed]
-    return starts
 
 
 def _first_impacts(case: Case) -> list[Impact]:

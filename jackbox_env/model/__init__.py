@@ -1,1 +1,1 @@
-"""What is modelled, in pure functions: scene, state, mechanics, tasks, observations, actions, landings."""
+"""The model in pure functions: scene, state, mechanics, tasks, observations, actions, landings."""

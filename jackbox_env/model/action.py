@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from jackbox_env.model.landing import ANGLE, RATE, aim, steps_until_impact
+from jackbox_env.model.landing import ANGLE, DECISION, RATE, RESTING, aim
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Flags, State
 from jackbox_env.model.tasks import TaskError
@@ -76,43 +76,29 @@ class Action:
         Raises:
             TypeError, ValueError: another shape, or a number that is no action.
         """
-        name = "action" if count is None else "actions"
-        if isinstance(self.space, gym.spaces.Discrete):
-            return self._checked_choices(name, action, count, waiting)
-        low, high = self.space.low.astype(np.float64), self.space.high.astype(np.float64)
-        limits = "[-1, 1]" if (low == -1.0).all() and (high == 1.0).all() else "the space"
-        values = check.array(name, action, f"be numbers (clipped to {limits})")
-        rows = () if count is None else (count,)
-        if values.shape != (*rows, self.size) and not (self.size == 1 and values.shape == rows):
-            also = f" or {rows}" if self.size == 1 and rows else ""
-            raise ValueError(f"{name} must have shape {(*rows, self.size)}{also}, got shape {values.shape}")
-        values = values.reshape(-1, self.size).astype(np.float64)
-        unusable = ~np.isfinite(values) if waiting is None else ~np.isfinite(values) & ~waiting[:, None]
+        (name, rows), width = ("action", ()) if count is None else ("actions", (count,)), max(self.size, 1)
+        if discrete := isinstance(self.space, gym.spaces.Discrete):
+            low, high, shapes = np.zeros(1), np.array([self.space.n - 1.0]), f"{rows}"
+            every, one = (f"{kind} from 0 to {self.space.n - 1}" for kind in ("whole numbers", "a whole number"))
+        else:
+            low, high = self.space.low.astype(np.float64), self.space.high.astype(np.float64)
+            limits = "[-1, 1]" if (low == -1.0).all() and (high == 1.0).all() else "the space"
+            every, one = f"numbers (clipped to {limits})", f"finite numbers (clipped to {limits})"
+            shapes = f"{(*rows, width)} or {rows}" if width == 1 and rows else f"{(*rows, width)}"
+        values = check.array(name, action, f"be {every}")
+        if discrete and values.dtype.kind not in "iu":
+            raise TypeError(f"{name} must be {every}, got {check.shown(action)}")
+        if values.shape != (*rows, width) and not (width == 1 and values.shape == rows):
+            raise ValueError(f"{name} must have shape {shapes}, got shape {values.shape}")
+        values = values.reshape(-1, width)
+        unusable = (values < low) | (values > high) if discrete else ~np.isfinite(values)
+        unusable = unusable if waiting is None else unusable & ~waiting[:, None]
         if unusable.any():
             row, column = np.argwhere(unusable)[0].tolist()
             where = "" if count is None else f" for environment {row}"
-            raise ValueError(f"action must be finite numbers (clipped to {limits}), got {values[row, column]}{where}")
-        clipped: Array = np.clip(values, low, high)
+            raise ValueError(f"action must be {one}, got {values[row, column]}{where}")
+        clipped: Array = np.clip(values.astype(np.float64), low, high)
         return np.ascontiguousarray(clipped.T)
-
-    def _checked_choices(self, name: str, action: Any, count: int | None, waiting: Flags | None) -> Array:
-        assert isinstance(self.space, gym.spaces.Discrete)
-        most = int(self.space.n) - 1
-        values = check.array(name, action, f"be whole numbers from 0 to {most}")
-        shapes = [(), (1,)] if count is None else [(count,), (count, 1)]
-        if values.dtype.kind not in "iu":
-            raise TypeError(f"{name} must be whole numbers from 0 to {most}, got {check.shown(action)}")
-        if values.shape not in shapes:
-            raise ValueError(f"{name} must have shape {shapes[0]}, got shape {values.shape}")
-        values = values.reshape(-1)
-        unusable = (values < 0) | (values > most)
-        unusable = unusable if waiting is None else unusable & ~waiting
-        if unusable.any():
-            row = int(np.flatnonzero(unusable)[0])
-            where = "" if count is None else f" for environment {row}"
-            raise ValueError(f"action must be a whole number from 0 to {most}, got {values[row]}{where}")
-        choices: Array = np.clip(values, 0, most).astype(np.float64)
-        return choices[None]
 
     def share(self, scene: SceneNumbers, state: State, action: Array, time: float, dt: float) -> float:
         """The torque over its limit, unclipped, in plain Python; ``action`` as of :meth:`checked`, shape (n,).
@@ -187,14 +173,14 @@ Repeats = int | Literal["bounce"]
 
 
 class Repeat(NamedTuple):
-    """For how long an action lasts."""
+    """The duration of an action."""
 
     steps: int  # control steps, at most
     max_contact_steps: int  # after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
 
 
 def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:
-    """For how long an action lasts: a number of control steps, or ``"bounce"``.
+    """The duration of an action: a number of control steps, or ``"bounce"``.
 
     Raises:
         TypeError, ValueError: something else, or out of its range.
@@ -204,7 +190,7 @@ def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:
             limit = f"a whole number from 1 to {_MOST_REPEATS}"
             raise ValueError(f'action_repeat must be "bounce" or {limit}, got {check.shown(action_repeat)}')
         check.real('control_dt with action_repeat="bounce"', control_dt, at_least=_FASTEST)
-        return Repeat(*steps_until_impact(control_dt))
+        return Repeat(max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt)))
     return Repeat(check.whole("action_repeat", action_repeat, at_least=1, at_most=_MOST_REPEATS), 0)
 
 

@@ -77,7 +77,7 @@ def nearest(contacts: Any, count: int) -> tuple[int, int, int]:
 
 
 def violation_of(contacts: Any, count: int, size: int, one: int, two: int, three: int) -> float:
-    """By how much a set's projection closes gaps; infinity if its rows are dependent or a multiplier is negative."""
+    """The fastest closing of a gap by a set's projection; infinite if rows depend or a multiplier is negative."""
     if not project(contacts, size, one, two, three):
         return math.inf
     violation = 0.0

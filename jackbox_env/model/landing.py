@@ -1,4 +1,4 @@
-"""When the jack will land, and the torque that brings the box to a chosen angle and rate at that moment.
+"""The jack's next landing, and the torque that brings the box to a chosen angle and rate at that moment.
 
 Between impacts the jack flies freely. The landing is the moment at which its centre is L - l below the box's centre,
 where a foot that points down touches the floor of a level box. The state determines it in closed form; walls on the way
@@ -22,13 +22,8 @@ DECISION = 2.0  # [s] the longest until an impact
 RESTING = 0.4  # [s] the longest while every step has an impact
 
 
-def steps_until_impact(control_dt: float) -> tuple[int, int]:
-    """Control steps of ``control_dt`` [s] in a decision that an impact ends: at most, and at most at rest."""
-    return max(1, round(DECISION / control_dt)), max(1, round(RESTING / control_dt))
-
-
 def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
-    """When the jack lands [s], at most ``LONGEST``."""
+    """Time until the jack lands [s], at most ``LONGEST``."""
     height = max(state.y_jack - state.y_box + scene.box_half_width - scene.jack_arm, 0.0)
     rise = state.vy_jack - state.vy_box
     speed = math.sqrt(rise * rise + 2.0 * scene.gravity * height)

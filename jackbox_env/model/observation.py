@@ -1,21 +1,9 @@
 """Observations: the numbers that an agent sees, from the scene, the state and the time.
 
-``"state"``, ten numbers of order one from the state alone:
-
-====  ======================================================  ===========  =====
- #    quantity                                                unit         bound
-====  ======================================================  ===========  =====
-0, 1  jack's centre in the box frame                          L            1
-2, 3  its velocity relative to the box's centre, on box axes  v0           10
-4, 5  cosine and sine of theta_box                                         1
-6     omega_box                                               v0 / L       10
-7, 8  cosine and sine of 4 (theta_jack - theta_box)                        1
-9     omega_jack                                              v0 / l       10
-====  ======================================================  ===========  =====
-
-with v0 = sqrt(2 * 9.81 * L). The cross repeats every quarter turn, hence the 4. ``"landing"`` appends the eleven
-numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact model compiles the
-functions here and those of a user, see ``exact/score.py``.
+The docstring of :class:`jackbox_env.JackInBoxEnv` has the table of ``"state"``, ten numbers of order one from the state
+alone. The cross repeats every quarter turn, hence the cosine and sine of four times its angle. ``"landing"`` appends
+the eleven numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact model
+compiles the functions here and those of a user, see ``exact/score.py``.
 """
 
 from __future__ import annotations
@@ -100,7 +88,7 @@ def observe(
 
 
 def observe_named(scene: SceneNumbers, state: State, time: float, observation: Observation) -> NDArray[np.float32]:
-    """As :func:`observe`, of a scene's numbers and a state's."""
+    """The observation of :func:`observe`, of a scene's numbers and a state's."""
     values = observation.values(scene, state, time)
     if observation in OBSERVATIONS.values():
         return np.array(values, dtype=np.float32)

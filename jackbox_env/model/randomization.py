@@ -46,14 +46,12 @@ class Randomization:
             )
         for scene in dict.fromkeys(scenes) if self.ranges else ():
             for ends in product(*self.ranges.values()):
-                self._try(scene, dict(zip(self.ranges, ends, strict=True)), try_scene)
-
-    def _try(self, scene: Scene, ends: dict[str, float], try_scene: Callable[[Scene], Any]) -> None:
-        try:
-            try_scene(scene.changed(**ends))
-        except (TypeError, ValueError) as error:
-            drawn = ", ".join(f"{name}={value:g}" for name, value in ends.items())
-            raise ValueError(f"randomize could draw a scene with {drawn}, which is refused: {error}") from error
+                changes = dict(zip(self.ranges, ends, strict=True))
+                try:
+                    try_scene(scene.changed(**changes))
+                except (TypeError, ValueError) as error:
+                    drawn = ", ".join(f"{name}={value:g}" for name, value in changes.items())
+                    raise ValueError(f"randomize could draw a scene with {drawn}, which is refused: {error}") from error
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> dict[str, Any]:
         """Draw the fields that change; this advances the generator.

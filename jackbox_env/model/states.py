@@ -112,7 +112,7 @@ def clearance(scene: Scene | SceneNumbers, state: Numbers) -> float:
 
 
 def start_tolerance(state: Sequence[float]) -> float:
-    """How far a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
+    """The most that a foot of a start may be outside [m]: 1e-9, or 4 units in the last place of a far-off position."""
     furthest = max(abs(state[X_BOX]), abs(state[Y_BOX]), abs(state[X_JACK]), abs(state[Y_JACK]))
     return max(START_TOLERANCE, 4.0 * math.ulp(furthest))
 
@@ -124,11 +124,8 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
         TypeError, ValueError: the state is not 12 finite numbers, a foot is outside, or the positions are so far from
             the origin that float64 does not resolve L / 1000.
     """
-    refuse_no_scene(scene)
-    array = as_state(state)
-    values = array.tolist()
-    _refuse_far_off(scene, values)
-    outside, tolerance = -clearance(scene, values), start_tolerance(values)
+    array, outside = _located(scene, state)
+    tolerance = start_tolerance(array.tolist())
     if not outside <= tolerance:
         raise ValueError(
             f"a start must have every foot inside the box (at most {tolerance:g} m outside), got a foot {outside:g} m "
@@ -138,7 +135,7 @@ def as_start(scene: Scene, state: ArrayLike) -> Array:
 
 
 def deepest_restored(scene: Scene) -> float:
-    """How far outside the box a foot may be in a restored state [m]: min(1 m, L)."""
+    """The most that a foot of a restored state may be outside [m]: min(1 m, L)."""
     return min(DEEPEST, scene.box_half_width)
 
 
@@ -159,17 +156,22 @@ def as_restored(scene: Scene, state: ArrayLike) -> Array:
         TypeError, ValueError: the state is not 12 finite numbers, a foot is further outside, or the positions are so
             far from the origin that float64 does not resolve L / 1000.
     """
-    refuse_no_scene(scene)
-    array = as_state(state)
-    values = array.tolist()
-    _refuse_far_off(scene, values)
-    outside, deepest = -clearance(scene, values), deepest_restored(scene)
+    (array, outside), deepest = _located(scene, state), deepest_restored(scene)
     if not outside <= deepest:
         raise ValueError(f"state must have every foot at most {deepest:g} m outside, got {outside:g} m")
     return array
 
 
-def _refuse_far_off(scene: Scene, values: Sequence[float]) -> None:
+def _located(scene: Scene, state: ArrayLike) -> tuple[Array, float]:
+    """A state as an array, and how far its outermost foot is outside [m].
+
+    Raises:
+        TypeError, ValueError: no scene, no state, or positions too far from the origin.
+    """
+    refuse_no_scene(scene)
+    array = as_state(state)
+    values = array.tolist()
     furthest = max(abs(values[index]) for index in (X_BOX, Y_BOX, X_JACK, Y_JACK))
     if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
         raise ValueError(f"state must be near enough to the origin for float64 to resolve L / 1000, got {furthest:g} m")
+    return array, -clearance(scene, values)

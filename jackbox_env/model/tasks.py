@@ -181,7 +181,7 @@ def juggle_slope(scene: SceneNumbers, states: Array) -> Array:
 
 
 def spin_slope(scene: SceneNumbers, states: Array) -> Array:
-    """The same of :func:`spin`."""
+    """Derivative of :func:`spin` by each state, as :func:`juggle_slope`."""
     per_rate = np.asarray(scene.jack_arm) / scene.speed_scale
     rate = states[:, OMEGA_JACK] * per_rate
     calm = 1.0 - abs(states[:, OMEGA_BOX]) * scene.box_half_width / scene.speed_scale

@@ -15,28 +15,38 @@ from jackbox_env.gpu.ptx import ptx_of, ptx_with
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Counts
 from jackbox_env.model.tasks import TASKS, Task
-from jackbox_env.simulators.agent_functions import users_functions
 from jackbox_env.simulators.exact import drive_kind
+from jackbox_env.simulators.users_functions import users_functions
 from jackbox_env.tools import checks as check
 
 _codes: WeakKeyDictionary[Task, str] = WeakKeyDictionary()  # PTX with the rewards of users' tasks
 
 
-def tensors(_device: str, *arrays: Any) -> Sequence[Any]:
-    """The arrays as tensors on the GPU if one of them is a tensor of any library with DLPack; else none.
+def checked(device: str | None) -> str | None:
+    """The name of a device, or None.
 
     Raises:
-        ImportError: there is no PyTorch.
+        ValueError: it is neither "cuda" nor None.
         RuntimeError: ``JACKBOX_UNTRIED_GPU`` is not 1.
     """
+    if device is None:
+        return None
+    check.choice("device", device, ("cuda",))
     if os.environ.get("JACKBOX_UNTRIED_GPU") != "1":
         raise RuntimeError(
             'device="cuda" has not run on a GPU yet, only its code has been checked; JACKBOX_UNTRIED_GPU=1 allows it'
         )
-    try:
+    return device
+
+
+def tensors(*arrays: Any) -> Sequence[Any]:
+    """The arrays as tensors on the GPU if one of them is a tensor of any library with DLPack; else none.
+
+    Raises:
+        ImportError: there is no PyTorch.
+    """
+    with check.extra('device="cuda"', "PyTorch", "gpu"):
         from jackbox_env.gpu import device
-    except ModuleNotFoundError as error:
-        raise ImportError(check.extra_needed('device="cuda"', str(error.name), "gpu")) from error
     if all(isinstance(one, np.ndarray) or not hasattr(one, "__dlpack__") for one in arrays):
         return ()
     shared = [one if hasattr(one, "__dlpack__") else np.asarray(one, np.float64) for one in arrays]
@@ -56,6 +66,8 @@ def played(
         options: a ``RolloutOptions``.
         left_rows: returns the ``Rollout`` of rows by the CPU, for those that the GPU does not play to their end.
     """
+    from torch.cuda import OutOfMemoryError
+
     from jackbox_env.gpu import device
 
     count, task = len(torques), options.task
@@ -64,10 +76,15 @@ def played(
     first, held = options.tensors or map(device.tensor, (starts, torques))
     first, held = first.expand(count, -1), held.expand(count, -1)
     values = device.tensor(np.array([one.numbers for one in scenes]))
-    result = device.play(
-        device.launcher(code_of(task or TASKS["juggle"])), values, first, held, dt, options.repeat,
-        device.tensor(ended.copy()).long(), device.Wanted(options.whole, options.energy, options.impacts, task is not None),
-    )  # fmt: skip
+    launch = device.launcher(code_of(task or TASKS["juggle"]))
+    try:
+        result = device.play(
+            launch, values, first, held, dt, options.repeat, device.tensor(ended.copy()).long(),
+            device.Wanted(options.whole, options.energy, options.impacts, task is not None),
+        )  # fmt: skip
+    except OutOfMemoryError as error:
+        steps = held.shape[1] * options.repeat
+        raise MemoryError(f"the GPU has too little memory for {count} rows of {steps} steps: play fewer") from error
     wanted = [
         result.trajectories if options.whole else device.stacked(first, result.last),
         result.energies if options.energy else None, result.hits if options.impacts else None,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array, as_restored
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, X_BOX, X_JACK, Array, as_restored
 from jackbox_env.model.tasks import SLOPES
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.planning.rollouts import rollout
@@ -61,8 +61,6 @@ def ilqr(
     task: str = "juggle",
     cost: Cost | None = None,
     repeat: int = 1,
-    time: float = 0.0,
-    num_threads: int | None = None,
 ) -> Improved:
     """Improve a plan of torques by derivatives of the exact model, until an iteration gains less than 0.001.
 
@@ -83,14 +81,12 @@ def ilqr(
             cost, (H,), which may be of some steps only, its slope by the state, (H, 12), and its curvature,
             (H, 12, 12), positive semidefinite.
         repeat: steps that each torque is repeated for, so H = K * repeat.
-        time: at the start [s].
-        num_threads: None: as many as the machine has. Results do not depend on it.
 
     Raises:
         TypeError, ValueError: unusable values, also of ``cost``.
         JackLostError: under the plan itself the jack moves too fast to be followed.
     """
-    problem = _Problem(Scene.of(scene), state, dt, task, cost, repeat, time, num_threads)
+    problem = _Problem(Scene.of(scene), state, dt, task, cost, repeat)
     plan = check.array("torques", torques, "be numbers").astype(np.float64) / problem.scene.torque_limit
     if plan.ndim != 1 or not len(plan):
         raise ValueError(f"torques must have shape (K,), got {plan.shape}")
@@ -121,19 +117,14 @@ def ilqr(
 
 
 class _Problem:
-    """What torques are improved for: from where, and by which value."""
+    """The start, the steps and the value for which torques are improved."""
 
-    def __init__(
-        self, scene: Scene, state: ArrayLike, dt: float, task: str, cost: Cost | None, repeat: int, time: float,
-        num_threads: int | None,
-    ) -> None:  # fmt: skip
+    def __init__(self, scene: Scene, state: ArrayLike, dt: float, task: str, cost: Cost | None, repeat: int) -> None:
         self.scene, self._start, self._dt = scene, as_restored(scene, state), check.real("dt", dt, above=0.0)
         self._task, self._cost = check.choice("task", task, SLOPES), cost
         if not (cost is None or callable(cost)):
             raise TypeError(f"cost must be a function of the states or None, got {check.shown(cost)}")
         self._repeat = check.whole("repeat", repeat, at_least=1, at_most=1_000_000)
-        self._time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        self._options: dict[str, Any] = {"num_threads": num_threads}
 
     def played(self, plans: Array, gains: Array, old: Array | None) -> tuple[Array, Array, Array]:
         """Play plans, shape (n, K), plus gains, (K, 12), times the deviations from old states, (K * repeat + 1, 12).
@@ -143,13 +134,13 @@ class _Problem:
         """
         count, knots = plans.shape
         values, torques, states = np.zeros(count), plans.copy(), np.empty((count, knots * self._repeat + 1, 12))
-        states[:, 0], time = self._start, self._time
+        states[:, 0], time = self._start, 0.0
         for knot in range(knots):
             first, last = knot * self._repeat, (knot + 1) * self._repeat
             off = 0.0 if old is None else _feedback(gains[knot], states[:, first] - old[first])
             torques[:, knot] = np.clip(plans[:, knot] + off, -1.0, 1.0)
             applied = np.repeat(torques[:, knot, None] * self.scene.torque_limit, self._repeat, axis=1)
-            played = rollout(self.scene, states[:, first], applied, self._dt, time, rewards=self._task, **self._options)
+            played = rollout(self.scene, states[:, first], applied, self._dt, time, rewards=self._task)
             states[:, first + 1 : last + 1] = played.trajectories[:, 1:]
             values += played.rewards.sum(axis=1)
             for _ in range(self._repeat):
@@ -166,9 +157,7 @@ class _Problem:
             steps without a derivative.
         """
         limit, knots = self.scene.torque_limit, len(torques)
-        lin = linearize(
-            self.scene, self._start, torques * limit, self._dt, self._time, repeat=self._repeat, **self._options
-        )
+        lin = linearize(self.scene, self._start, torques * limit, self._dt, repeat=self._repeat)
         by_state = np.nan_to_num(lin.A).reshape(knots, self._repeat, 12, 12)
         by_torque = np.nan_to_num(lin.B).reshape(knots, self._repeat, 12) * limit
         ends = lin.trajectories[0, 1:]
@@ -196,7 +185,7 @@ class _Problem:
         return (weights[:, None] * off) @ relative, weights[:, None, None] * (relative.T @ relative)
 
     def _costs(self, states: Array) -> tuple[Array, Array, Array]:
-        """What the user's function returns for states, (H, 12).
+        """The user's costs, slopes and curvatures for states, (H, 12).
 
         Raises:
             TypeError, ValueError: it is not three arrays of finite numbers of these shapes.

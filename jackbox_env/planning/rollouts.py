@@ -6,7 +6,6 @@ Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
@@ -14,15 +13,14 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.exact.restart import outside, spread
+from jackbox_env.exact.geometry import outside
+from jackbox_env.exact.glide import spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import (
-    NOTHING,
     SCENE_PARAMS,
     TIME,
-    TORQUES,
     WIDEST,
     WIDTH,
     Call,
@@ -39,7 +37,7 @@ from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
 from jackbox_env.model.tasks import Task, task_of
 from jackbox_env.planning import card
-from jackbox_env.simulators.agent_functions import bad_reward, compiled_for
+from jackbox_env.simulators.agent_functions import bad_reward
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -50,6 +48,7 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
+from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check
 
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
@@ -181,7 +180,7 @@ def rollout(
     task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    tensors = () if device is None else card.tensors(check.choice("device", device, ("cuda",)), states, torques)
+    tensors = card.tensors(states, torques) if card.checked(device) else ()
     host = [one.cpu().numpy() for one in tensors] or [states, torques]
     starts, rows = sequences(scenes, several, *host)
     options = RolloutOptions(
@@ -194,7 +193,7 @@ def rollout(
 
 @dataclass
 class Tape:
-    """What a rollout records for its derivatives."""
+    """The record of a rollout for its derivatives."""
 
     rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
     hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
@@ -202,7 +201,7 @@ class Tape:
 
 
 class RolloutOptions(NamedTuple):
-    """How :func:`run_rollouts` plays, and which results it adds to the last states."""
+    """Options of :func:`run_rollouts`: what acts, and which results it adds to the last states."""
 
     side_forces: bool = True  # whether the drives' side forces act
     drives_turn: bool = False  # whether the drives' torques act, in place of the arguments'
@@ -255,7 +254,7 @@ def run_rollouts(
     score = compiled_for(task, score_block) if task else None
     results = _new_results(scenes, starts, steps, options, tape is not None)
     address = address_of(score, block_scorer)
-    rules = Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, address, 0, 0, PATIENCE)
+    rules = Rules(dt, steps=steps, continue_after_done=True, score=address, patience=PATIENCE)
     controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
@@ -296,9 +295,6 @@ def _new_results(scenes: list[Scene], starts: Array, steps: int, options: Rollou
     """Arrays for the requested results, with the first states; arrays of length 0 for the others."""
     count, scored = len(starts), options.task is not None
     results = Results(
-        observations=NOTHING.observations,
-        reports=NOTHING.reports,
-        returns=NOTHING.returns,
         terminations=np.zeros(count, np.bool_),
         truncations=np.zeros(count, np.bool_),
         rewards=np.zeros((steps if scored else 0, count)),

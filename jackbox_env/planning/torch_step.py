@@ -8,11 +8,9 @@ import numpy as np
 
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.torch", "torch", "train"):
     import torch
     from torch import Tensor
-except ImportError as error:
-    raise ImportError(check.extra_needed("jackbox_env.torch", "torch", "train")) from error
 
 from jackbox_env.model.scene import SceneNumbers, scenes_of
 from jackbox_env.model.tasks import SLOPES

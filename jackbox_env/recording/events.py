@@ -1,4 +1,4 @@
-"""What ends a simulation early: a number of impacts, or a function of the state that changes its sign."""
+"""Events that end a simulation early: a number of impacts, or a function of the state that changes its sign."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class SignChange:
         return math.copysign(1.0, value) if value else 0.0
 
     def _located(self, part: Record, flight: int, low: float, high: float) -> float:
-        """When the sign has changed [s] after the flight's start, by bisection."""
+        """The moment at which the sign has changed [s] after the flight's start, by bisection."""
         while low < (middle := 0.5 * (low + high)) < high:
             (state,) = part.flown(np.array([flight]), np.array([middle]))
             if self._sign_at(state) * self._sign < 0.0:

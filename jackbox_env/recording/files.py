@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import csv
-import importlib
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_file
@@ -20,7 +17,7 @@ _ROWS = 10_000  # that are written together
 Columns = dict[tuple[str, str], NDArray[Any]]  # by name and unit, "" without
 
 
-def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Columns]) -> list[Path]:
+def save(path: Path, arrays: dict[str, Any], tables: tuple[Columns, Columns]) -> list[Path]:
     """Write the arrays of a motion to a new .npz or .mat file, or its tables of states and impacts to two .csv files.
 
     Raises:
@@ -29,18 +26,21 @@ def save(path: Path, arrays: dict[str, NDArray[Any]], tables: tuple[Columns, Col
     suffix = check.choice("the suffix of path", path.suffix, (".npz", ".csv", ".mat"))
     if suffix == ".csv":
         return write_csv(tables, path, path.with_stem(f"{path.stem}_impacts"))
-    write: Any = np.savez
-    if suffix == ".mat":
-        write = _library("scipy.io", ".mat files", "SciPy", "train").savemat
-    with new_file(path) as partial, partial.open("wb") as file:
-        write(file, arrays) if suffix == ".mat" else write(file, **arrays)
+    with new_file(path) as partial, partial.open("wb") as file, check.extra(".mat files", "SciPy", "train"):
+        if suffix == ".npz":
+            np.savez(file, **arrays)
+        else:
+            import scipy.io
+
+            scipy.io.savemat(file, arrays)
     return [path]
 
 
 def frame(columns: Columns) -> Any:
     """A pandas.DataFrame of columns, without units."""
-    library: Any = _library("pandas", "to_frame", "pandas", "all")
-    return library.DataFrame({name: numbers for (name, _), numbers in columns.items()})
+    with check.extra("to_frame", "pandas", "all"):
+        import pandas  # type: ignore[import-untyped]
+    return pandas.DataFrame({name: numbers for (name, _), numbers in columns.items()})
 
 
 def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> list[Path]:
@@ -70,19 +70,6 @@ def write_table(columns: Columns, path: Path) -> Path:
     return path
 
 
-def write_scene(scene: Scene, path: Path) -> Path:
-    """Write the JSON of a scene's fields to a new file.
-
-    Raises:
-        FileExistsError: the file is there already.
-        ValueError: the scene's drive has no JSON form.
-    """
-    text = json.dumps(scene.as_dict(), indent=2) + "\n"
-    with new_file(path) as partial:
-        partial.write_text(text)
-    return path
-
-
 def state_columns(times: Array, states: Array, torques: Array) -> Columns:
     """The columns of states.csv, from times [s], shape (n,), states, shape (n, 12), and torques [N m], shape (n,)."""
     return {("time", "s"): times, **by_name("", states), ("torque", "N m"): torques}
@@ -92,10 +79,3 @@ def by_name(prefix: str, states: Array) -> Columns:
     """The columns of states, shape (n, 12)."""
     pairs = zip(STATE_NAMES, STATE_UNITS, states.T, strict=True)
     return {(f"{prefix}{name}", unit): numbers for name, unit, numbers in pairs}
-
-
-def _library(module: str, what: str, package: str, extra: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ImportError(check.extra_needed(what, package, extra)) from error

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +15,10 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import bar
 from jackbox_env.tools.files import check_new_file, new_file
 
-if TYPE_CHECKING:
-    from PIL import Image
-
 Frame = NDArray[np.uint8]
 SUFFIXES = (".gif", ".mp4")
 _SPACING = 0.04  # of frames [s]
+_VIDEO = "a film", "imageio_ffmpeg", "video"
 
 
 def check_film(path: Path) -> None:
@@ -40,7 +35,8 @@ def check_film(path: Path) -> None:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
     check_new_file(path)
     import_pygame()
-    _library("PIL.Image" if path.suffix.lower() == ".gif" else "imageio_ffmpeg")
+    with check.extra(*_VIDEO):
+        import imageio_ffmpeg  # type: ignore[import-untyped]  # noqa: F401
 
 
 def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
@@ -64,49 +60,22 @@ def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
             shown = count
             moved(1)
     renderer.close()
-    write_film(frames, path, 1.0 / _SPACING, progress)
+    write_film(frames, path, 1.0 / _SPACING)
     return path
 
 
-def write_film(frames: list[Frame], path: Path, fps: float, progress: bool = False) -> None:
-    """Write frames to a new file, with a bar if ``progress``."""
-    with new_file(path) as partial, bar(len(frames), progress, "frame") as moved:
+def write_film(frames: list[Frame], path: Path, fps: float) -> None:
+    """Write frames to a new file."""
+    with new_file(path) as partial, check.extra(*_VIDEO):
+        import imageio.v3
+        from PIL import Image
+
         if path.suffix.lower() == ".gif":
             # One palette for all frames keeps the background still and the file small.
-            palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 24)]).reshape(-1, 3))
-            pages = _pages(frames, palette, moved)
-            next(pages).save(partial, save_all=True, append_images=pages, duration=round(1000.0 / fps), loop=0)
+            palette = Image.fromarray(np.concatenate(frames[:: max(1, len(frames) // 24)])).quantize()
+            first, *others = (
+                Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in frames
+            )
+            first.save(partial, save_all=True, append_images=others, duration=round(1000.0 / fps), loop=0)
         else:
-            imageio = _library("imageio.v3")
-            imageio.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)
-
-
-def _pages(frames: list[Frame], palette: Image.Image, moved: Callable[[int], object]) -> Iterator[Image.Image]:
-    """The frames in the colours of a palette."""
-    from PIL import Image
-
-    for frame in frames:
-        moved(1)
-        yield Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-
-
-def _palette(pixels: Frame) -> Image.Image:
-    """A palette of 256 colours: the widest areas' own, and others so that small things (flash, gauge) keep theirs."""
-    from PIL import Image
-
-    packed = pixels @ np.array([1 << 16, 1 << 8, 1], np.uint32)  # colours as whole numbers
-    areas = np.bincount(packed, minlength=1 << 24)
-    numbers = np.flatnonzero(areas)
-    colours = np.stack([numbers >> 16, numbers >> 8 & 255, numbers & 255], axis=1).astype(np.uint8)
-    widest = colours[np.argsort(areas[numbers], kind="stable")[-32:]]
-    spread = Image.fromarray(colours[None]).quantize(256 - len(widest), method=Image.Quantize.MEDIANCUT)
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(widest.ravel().tolist() + (spread.getpalette() or []))
-    return palette
-
-
-def _library(module: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ImportError(check.extra_needed("a film", module.partition(".")[0], "video")) from error
+            imageio.v3.imwrite(partial, np.stack(frames), fps=fps, codec="libx264", macro_block_size=4)

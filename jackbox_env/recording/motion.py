@@ -17,7 +17,7 @@ from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array, Counts
 from jackbox_env.recording.files import Columns, by_name, frame, save, state_columns
 from jackbox_env.recording.record import Impacts, Record
-from jackbox_env.recording.recorder import restarted, within_memory
+from jackbox_env.recording.recorder import restarted
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.replay import box_energy
 from jackbox_env.tools import checks as check
@@ -159,33 +159,26 @@ class Motion:
             self._record.knots.held[index], energy_of(self.scene, end) - energy_of(self.scene, start), flying
         )
 
-    def restart(self, k: int, duration: float | None = None) -> Motion:
-        """Simulate again from just after impact ``k``, under the same torque: the same bits, control step by step.
+    def restart(self, k: int) -> Motion:
+        """Simulate again from just after impact ``k``, under the same torque, to the end of this motion: the same bits.
 
         A new simulation from ``impacts["after"][k]`` agrees to rounding until the next impact; its control steps begin
         at other times. This one repeats the control step of the impact from that step's start.
 
         Args:
             k: number of the impact, from 0; negative: from the end.
-            duration: from the impact on [s]; None: to the end of this motion.
 
         Raises:
-            TypeError, ValueError: there is no such impact, a duration for which there are no torques, or one of more
-                than 10,000,000 control steps.
-            MemoryError: the motion does not fit into memory.
+            TypeError, ValueError: there is no such impact.
         """
         self._record.refuse_no_states()
         count = len(self.impacts)
         if not count:
             raise ValueError(f"k must be the number of an impact, and this motion has none, got {check.shown(k)}")
         k = check.whole("k", k, at_least=-count, at_most=count - 1)
-        row, end = int(self._rows[k]), None
-        if duration is not None:
-            end = float(self.impacts["time"][k]) + check.real("duration", duration, above=0.0)
+        row = int(self._rows[k])
         begin = row - int(np.searchsorted(self._record.steps, self._record.steps[row]))
-        with within_memory():
-            record, last = restarted(self._record, row, end)
-            return Motion(record, begin=begin, end=float(self.t[-1]) if end is None else last)
+        return Motion(restarted(self._record, row), begin=begin, end=float(self.t[-1]))
 
     @property
     def counts(self) -> Counts:

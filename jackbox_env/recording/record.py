@@ -1,10 +1,11 @@
-"""What a simulation stores: states at the ends of control steps, and impacts with the states before and after them.
+"""The record of a simulation: states at the ends of control steps, impacts with the states before and after them.
 
 :mod:`jackbox_env.recording.recorder` fills it in, and :mod:`jackbox_env.recording.motion` reads it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -32,28 +33,6 @@ Impacts = NDArray[Any]  # structured
 Torques = Array | float | None  # of each step, or of any step [N m]; None: the scene's drive acts
 
 
-def _refuse_states(key: Any) -> None:
-    """Raise ValueError if it is the name of what only impacts of the exact contact model have."""
-    if isinstance(key, str) and key in ("before", "after", "resting"):
-        raise ValueError(f"these impacts have no field {key!r}: that needs fidelity='exact'")
-
-
-class WithoutStates(np.ndarray[Any, Any]):
-    """Impacts of a contact model that has no states before and after them."""
-
-    def __getitem__(self, key: Any) -> Any:
-        _refuse_states(key)
-        return super().__getitem__(key)
-
-
-class ImpactWithoutStates(np.void):  # type: ignore[misc]  # numpy supports it, as its own np.record
-    """One of them."""
-
-    def __getitem__(self, key: Any) -> Any:
-        _refuse_states(key)
-        return super().__getitem__(key)
-
-
 @dataclass(frozen=True)
 class Record:
     """A simulation in n control steps with m impacts.
@@ -70,7 +49,6 @@ class Record:
         steps: in which each impact is, shape (m,).
         held: number of feet at rest before each impact in its step, -1 for the impulse of a foot at rest; shape (m,).
         failure: the error that ended it early.
-        rounding: of the sums that the times are, at most [s].
     """
 
     scene: Scene
@@ -83,11 +61,11 @@ class Record:
     steps: Counts
     held: Counts
     failure: Exception | None = None
-    rounding: float = 0.0
 
     def slack(self, duration: float) -> float:
-        """By how much [s] a time may differ from one of this record, and mean the same one; see :func:`slack_of`."""
-        return slack_of(duration, self.dt, self.rounding)
+        """The difference [s] up to which two times are the same: rounding of a duration, and of the sums of ``dt``."""
+        latest = max(abs(float(self.times[0])), abs(float(self.times[-1])))
+        return slack_of(duration, self.dt) + len(self.times) * math.ulp(latest)
 
     def torques_in(self, steps: Counts) -> Array | None:
         """The torque in each of some steps [N m]; None: the scene's drive acts."""
@@ -96,7 +74,7 @@ class Record:
         return None if self.torques is None else np.full(len(steps), self.torques)
 
     def same_impact(self) -> Flags:
-        """Of each row of ``impacts`` whether its foot strikes together with that of the row before."""
+        """Whether the foot of each row of ``impacts`` strikes together with that of the row before."""
         rows = self.impacts
         same = (rows["time"][1:] == rows["time"][:-1]) & (self.held[1:] >= 0) & (self.held[:-1] >= 0)
         same &= (rows["before"][1:] == rows["before"][:-1]).all(axis=1)
@@ -156,9 +134,9 @@ class Record:
         return states
 
 
-def slack_of(duration: float, dt: float, rounding: float = 0.0) -> float:
-    """What is rounding of a duration in steps of ``dt``, or of a time after it [s]; it makes no step."""
-    return 1e-6 * dt + 1e-12 * duration + rounding
+def slack_of(duration: float, dt: float) -> float:
+    """The part of a duration in steps of ``dt`` that is rounding [s]; it makes no step."""
+    return 1e-6 * dt + 1e-12 * duration
 
 
 class Knots(NamedTuple):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -18,14 +17,13 @@ from jackbox_env.exact.workspace import (
     BEFORE,
     HELD_SO_FAR,
     JUMPS,
-    NOTHING,
     SCENE_PARAMS,
     SCRATCH,
     TIME,
-    TORQUES,
     WIDTH,
     Call,
     Memory,
+    Results,
     Rules,
     Scenes,
     new_workspaces,
@@ -34,7 +32,7 @@ from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.recording.events import Event
-from jackbox_env.recording.record import IMPACT, JUMP, ImpactWithoutStates, Record, Torques, WithoutStates, slack_of
+from jackbox_env.recording.record import IMPACT, JUMP, Record, Torques, slack_of
 from jackbox_env.simulators import Impact, JackLostError, Simulator
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -74,14 +72,14 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     blocks[0, 0, :12, 0], blocks[0, 0, TIME] = state, time
     states, values = np.empty((1, steps + 1, 12)), np.array([scene.numbers])
     states[0, 0] = state
-    results = NOTHING._replace(
+    results = Results(
         terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_), trajectories=states,
         hits=np.zeros((steps, 1), np.int64), impulses=np.zeros((steps, 1)),
     )  # fmt: skip
     calls = [Call(Memory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
     calls[0].prepare(
         Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
-        Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, 0, 0, 0, PATIENCE),
+        Rules(dt, steps=steps, continue_after_done=True, patience=PATIENCE),
         blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques[:steps])[:, None], results,
     )  # fmt: skip
     ended, _, step, _, logs = run_blocks(compiled(run), calls, 0, 0, 1, Halt())
@@ -153,9 +151,7 @@ class Recorder:
 
     def record(self, failure: Exception | None = None) -> Record:
         """The steps so far."""
-        kind = np.dtype((ImpactWithoutStates, IMPACT))
-        impacts = np.array(list(map(tuple, self._impacts)), IMPACT).view(kind).view(WithoutStates)
-        steps = np.array(self._steps, np.int64)
+        impacts, steps = np.array(list(map(tuple, self._impacts)), IMPACT), np.array(self._steps, np.int64)
         return Record(
             self._scene, self._dt, 0.0, np.array(self._times), np.array(self._states),
             None if self._driven else np.array(self._torques), impacts, steps, np.zeros(len(steps), np.int64), failure,
@@ -163,20 +159,19 @@ class Recorder:
 
 
 def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Torques) -> Record:
-    """One record of several, each of which goes on from the one before; ``torques`` are of all steps, or more."""
+    """The record of successive parts; ``torques`` are of all steps, or more."""
     offsets = np.cumsum([0, *(len(part.times) - 1 for part in parts)])
-    rounding = int(offsets[-1]) * math.ulp(max(abs(float(time)) for time in (parts[0].times[0], parts[-1].times[-1])))
     return replace(
-        parts[-1], dt=dt, rest=rest, torques=torques, rounding=rounding,
+        parts[-1], dt=dt, rest=rest, torques=torques,
         times=np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)]),
         states=np.concatenate([parts[0].states[:1], *(part.states[1:] for part in parts)]),
-        impacts=np.concatenate([part.impacts for part in parts]).view(type(parts[0].impacts)),
+        impacts=np.concatenate([part.impacts for part in parts]),
         steps=np.concatenate([part.steps + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         held=np.concatenate([part.held for part in parts]),
     )  # fmt: skip
 
 
-def steps_of(duration: float, dt: float, rounding: float = 0.0) -> tuple[int, float]:
+def steps_of(duration: float, dt: float) -> tuple[int, float]:
     """The number of steps of ``dt`` in a duration, and the duration of a shorter one after them, or 0.
 
     Raises:
@@ -184,19 +179,10 @@ def steps_of(duration: float, dt: float, rounding: float = 0.0) -> tuple[int, fl
     """
     if duration / dt > MOST_STEPS:
         raise ValueError(f"duration / dt must be at most {MOST_STEPS:,} steps, got {duration:g} / {dt:g}")
-    slack = slack_of(duration, dt, rounding)
+    slack = slack_of(duration, dt)
     whole = math.floor((duration + slack) / dt)
     rest = duration - whole * dt
     return whole, rest if rest > slack or not whole else 0.0
-
-
-@contextmanager
-def within_memory() -> Iterator[None]:
-    """Explain a MemoryError in one sentence."""
-    try:
-        yield
-    except MemoryError as error:
-        raise MemoryError("the motion does not fit into memory; use a shorter duration or a longer dt") from error
 
 
 def run_record(
@@ -233,28 +219,17 @@ def run_record(
     return (record, math.inf) if end is None else (replace(record, failure=None), end)
 
 
-def restarted(record: Record, row: int, end: float | None) -> tuple[Record, float]:
-    """The record again from the step of the impact of a row: to its last step, or to a time that may be later [s].
-
-    Returns:
-        The record, and where the motion ends in it [s]; infinity: at its end.
+def restarted(record: Record, row: int) -> Record:
+    """The record again from the step of the impact of a row, to its last step.
 
     Raises:
-        ValueError: the torques do not last as long.
         JackLostError: the jack would leave the box, or cannot be followed.
     """
     step = int(record.steps[row])
-    start, steps = float(record.times[step]), (len(record.times) - 1 - step - (record.rest > 0.0), record.rest)
+    steps = (len(record.times) - 1 - step - (record.rest > 0.0), record.rest)
     torques = record.torques[step:] if isinstance(record.torques, np.ndarray) else record.torques
-    if end is None or abs(end - float(record.times[-1])) <= record.slack(end - start):
-        end = math.inf
-    else:
-        whole, rest = steps_of(end - start, record.dt, record.rounding)
-        steps, end = (whole + (rest > 0.0), 0.0), end if rest else math.inf
-        if isinstance(torques, np.ndarray) and len(torques) < steps[0]:
-            lasts = start + len(torques) * record.dt - float(record.impacts["time"][row])
-            raise ValueError(f"duration must be at most {lasts:g} s, as long as there are torques, got a longer one")
-    again, _ = run_record(exact_advance(record.scene), record.states[step], start, record.dt, steps, torques)
+    advance, start = exact_advance(record.scene), float(record.times[step])
+    again, _ = run_record(advance, record.states[step], start, record.dt, steps, torques)
     if again.failure is not None:
         raise again.failure
-    return replace(again, rounding=again.rounding + record.rounding), end
+    return again

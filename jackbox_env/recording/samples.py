@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import islice, pairwise
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ class Samples(NamedTuple):
 
     times: Array  # [s], (n,)
     states: Array  # SI units, (n, 12)
-    torques: Array  # mean torque on the box since the sample before [N m], (n,)
+    torques: Array  # on the box [N m], (n,)
     energies: Array  # kinetic energy and m_j g y_jack [J], (n,)
     work: Array  # of torque and side forces on the box since the start [J], (n,)
 
@@ -54,11 +54,6 @@ class _Step(NamedTuple):
     impacts: list[Impact]
     torque: float | None  # constant [N m]; None: the drive's
 
-    def flight(self, scene: Scene) -> Iterator[_Sample]:
-        """Points of a step without impacts, its end included, with the work since its start."""
-        yield from self._between(scene, self.before, self.start, self.end, 0.0)
-        yield _Sample(self.end, self.after, box_energy(scene, self.after) - box_energy(scene, self.before))
-
     def _between(self, scene: Scene, state: list[float], start: float, end: float, done: float) -> Iterator[_Sample]:
         """Points of a flight from a state, without its ends; ``done`` is the work at its start."""
         points = math.ceil((end - start) / SPACING - 1e-6)
@@ -67,8 +62,8 @@ class _Step(NamedTuple):
             flying = flown(scene, state, start, since, self.torque)
             yield _Sample(start + since, flying, done + box_energy(scene, flying) - box_energy(scene, state))
 
-    def contact(self, scene: Scene) -> Iterator[_Sample]:
-        """The moments of a step with impacts, points between them, and its end, with the work since its start."""
+    def samples(self, scene: Scene) -> Iterator[_Sample]:
+        """The moments of impacts, points between them, and the step's end, with the work since its start."""
         replay = replayed(scene, self.before, self.start, self.impacts, self.end, self.torque)
         resting = any(self._rests(scene, moment) for moment in replay.moments)
         start, state, done = self.start, self.before, 0.0
@@ -109,21 +104,16 @@ def samples_of(motion: Motion) -> Samples:
     for number, count in enumerate(motion.counts.tolist()):
         hits, done = list(islice(impacts, count)), samples[-1].work
         step = _Step(ends[number], ends[number + 1], states[number], states[number + 1], hits, constant_torques[number])
-        new = step.contact(scene) if step.impacts else step.flight(scene)
-        samples += [one._replace(work=done + one.work) for one in new]
+        samples += [one._replace(work=done + one.work) for one in step.samples(scene)]
     times, states, work = zip(*samples, strict=True)
     energies = [energy_of(scene, state) for state in states]
     return Samples(*map(np.array, (times, states, _torques(motion, times), energies, work)))
 
 
 def _torques(motion: Motion, times: Sequence[float]) -> list[float]:
-    """Mean torque since the sample before, for each sample [N m]; the first has that of the second."""
-    if len(motion.t) == 1:
-        return [0.0]
+    """Torque at each sample [N m]: that of its step, or the drive's."""
     if motion.torques is not None:
-        return motion.torques[np.searchsorted(motion.t[1:], times)].tolist()  # type: ignore[no-any-return]
-    drive, torques = motion.scene.drive or Drive(), list[float]()
-    for last, time in pairwise(times):
-        still = time <= last and torques
-        torques.append(torques[-1] if still else sum(drive.torque_means(last, time - last)) / 2.0)
-    return [torques[0], *torques]
+        steps = np.searchsorted(motion.t[1:], times)
+        return np.append(motion.torques, 0.0)[steps].tolist()  # type: ignore[no-any-return]
+    torque = getattr(motion.scene.drive, "torque", None) or (lambda time: 0.0)
+    return [float(torque(time)) for time in times]

@@ -15,14 +15,7 @@ from jackbox_env.model.states import LATEST_TIME, Array, State, as_restored, by_
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.record import Torques
-from jackbox_env.recording.recorder import (
-    Controller,
-    exact_advance,
-    run_record,
-    stepping_advance,
-    steps_of,
-    within_memory,
-)
+from jackbox_env.recording.recorder import Controller, exact_advance, run_record, stepping_advance, steps_of
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.fidelity import FIDELITIES, Setting
@@ -81,7 +74,6 @@ def simulate(
     Raises:
         TypeError, ValueError: unusable values.
         JackLostError: the jack would leave the box, or cannot be followed.
-        MemoryError: the motion does not fit into memory.
     """
     setting, scene = FIDELITIES[check.choice("fidelity", fidelity, FIDELITIES)], Scene.of(scene)
     dt = check.real("dt", dt, above=0.0)
@@ -159,6 +151,5 @@ def recorded(
         simulator = make_simulator(scene, **setting._asdict())
         simulator.reset(state, time)
         advance = stepping_advance(simulator)
-    with within_memory():
-        record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
-        return Motion(record, end=end)
+    record, end = run_record(advance, state, time, dt, steps_of(duration, dt), torques, event, progress)
+    return Motion(record, end=end)

@@ -1,4 +1,4 @@
-"""Small frames drawn by compiled code from states alone: observations of pixels, and pictures without overlay.
+"""Observations of pixels, drawn by compiled code from states alone.
 
 Each mark is the set of points within some distance of a line segment, and a pixel's share of it is the distance of the
 pixel's centre from the mark's edge, clipped to [0, 1]. Cosines and sines are those of the exact model, square roots are
@@ -8,15 +8,13 @@ exact, and nothing is summed in another order: a frame has the same bits on ever
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.geometry import cos_sin, quarter
 from jackbox_env.exact.workspace import make_numbers
-from jackbox_env.jit.compiler import compiled
-from jackbox_env.model.scene import Scene, SceneNumbers
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import Array, Indices
 
 Frames = NDArray[np.uint8]  # (n, height, width, channels)
@@ -33,20 +31,14 @@ GREYS: Array = np.array([[200.0], [120.0], [90.0], [255.0], [160.0]])
 
 
 def view_of(size: tuple[int, int], centre: complex) -> Array:
-    """Where a frame without overlay of width and height [px] shows the box, whose centre is at ``centre`` [px]."""
+    """The numbers of a view for a picture of width and height [px] with the box's centre at ``centre`` [px]."""
     pixel = (0.485 * min(size) - 1.0) / REACH  # of this frame for a pixel of 512
     wall = max(WALL_WIDTH * pixel, LEAST_WALL)
     half = REACH * pixel / math.sqrt(2.0) - wall
     return np.array([centre.real, centre.imag, half, wall, max(_FOOT * pixel, 1.5 * _LEAST_FOOT)])
 
 
-def draw_colours(frame: Frames, pose: Sequence[float], scene: Scene, centre: complex, colours: Array) -> None:
-    """Draw box and jack over a frame, shape (h, w, 3), in colours by the rows above, shape (5, 3)."""
-    view, poses = view_of((frame.shape[1], frame.shape[0]), centre), np.array(pose).reshape(1, 1, -1)
-    compiled(draw)(frame[None], np.zeros(1, np.int64), poses, np.array([scene.numbers]), view, colours, False)
-
-
-def draw(frames: Frames, numbers: Indices, poses: Array, values: Array, view: Array, shades: Array, anew: bool) -> None:
+def draw(frames: Frames, numbers: Indices, poses: Array, values: Array, view: Array, shades: Array) -> None:
     """Draw some of N frames.
 
     Args:
@@ -56,11 +48,10 @@ def draw(frames: Frames, numbers: Indices, poses: Array, values: Array, view: Ar
         values: the scenes' numbers, one row for all or one for each of ``numbers``.
         view: as of :func:`view_of`.
         shades: of the marks in each channel, (5, channels).
-        anew: whether the ground is made 0 before.
     """
     for k in range(numbers.shape[0]):
         frame, scene = frames[numbers[k]], make_numbers(values[k if values.shape[0] > 1 else 0])
-        for j in range(frame.shape[0] if anew else 0):
+        for j in range(frame.shape[0]):
             frame[j] = 0
         for past in range(poses.shape[1]):
             draw_one(frame, past * shades.shape[1], poses[numbers[k], past], scene, view, shades)

@@ -1,10 +1,9 @@
 """Draws states of the jack in the box, as arrays or in a window; no physics is computed here.
 
 The camera follows the box's centre, so the box stays in the middle of the picture and turns there. Ruled lines fixed to
-the world move past it as it sinks, and the rulers on the left and at the bottom show its position. One foot of the jack
-has another colour, so that the cross visibly turns. A small frame has no text. Without the overlay a frame is
-box, jack and ruled lines alone. pygame is imported when the first `Renderer` is made and used off-screen: only the
-human mode opens a window.
+the world move past it as it sinks. One foot of the jack has another colour, so that the cross visibly turns. A small
+frame has no text. Without the overlay a frame is box, jack and ruled lines alone. pygame is imported when the first
+`Renderer` is made and used off-screen: only the human mode opens a window.
 
 Points in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
-from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH, draw_colours
+from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH
 from jackbox_env.simulators.base import Impact
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
 
@@ -33,14 +32,12 @@ if TYPE_CHECKING:
     import pygame
 
 
-# Layout [px] of a frame of 512 x 512, scaled in others: rulers on the left and at the bottom, text in the corners, and
-# the rest for the box, which may turn freely.
-_RULER, _FLOOR = 54.0, 20.0
+# Layout [px] of a frame of 512 x 512, scaled in others: text in the corners, the rest for the box, which turns freely.
 _MARGIN = 10.0
 _BEAD = 1.75  # radius of the trail's beads
 _FOOT = 6.0  # greatest radius of a foot
 _GAUGE = 18.0  # radius
-_LETTERED = 400  # a frame less wide or high has neither rulers nor readings: their letters would be 6 px high
+_LETTERED = 400  # a frame less wide or high has no readings: their letters would be 6 px high
 GAP = 2  # between tiles, of any size
 
 # Times in units of L / v0, a fall's time scale (0.55 s in the default scene), and at least this many control steps.
@@ -53,11 +50,8 @@ _LONGEST_TASK = 18  # letters
 _PAPER: Colour = (243, 245, 248)
 _INTERIOR: Colour = (255, 255, 255)
 _RULE_DARKER: Colour = (28, 22, 12)  # a ruled line than its ground
-_RULE: Colour = (227, 233, 243)  # on the interior
-_RULER_TINT: Colour = (236, 239, 244)
 _FLASH: Colour = (255, 176, 0)
 _TRAIL: Colour = (120, 158, 214)
-_MARKS: Array = np.array([WALL, WALL, JACK, FIRST_FOOT, WALL], dtype=np.float64)  # as ``raster.draw`` numbers them
 
 # The trail's colours from new to old.
 _FADING: list[Colour] = [(r, g, b) for r, g, b in np.linspace(_TRAIL, _INTERIOR, 16).astype(int).tolist()]
@@ -104,7 +98,7 @@ class Renderer:
         fps: frames per second of the window [Hz].
         task: its name, which is written into the frame.
         size: width and height of the frame [px].
-        overlay: draw rulers, readings, trail and flashes too; below 400 px only trail, flashes and the torque's gauge.
+        overlay: draw readings, trail and flashes too; below 400 px only trail, flashes and the torque's gauge.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.
@@ -119,15 +113,12 @@ class Renderer:
         self._lettered = overlay and min(size) >= _LETTERED
         # [px] of this frame for a pixel of 512
         self._px = min(size) / SIZE if self._lettered else (0.485 * min(size) - 1.0) / REACH
-        self._ruler, self._floor = _RULER * self._px * self._lettered, size[1] - _FLOOR * self._px * self._lettered
-        self._centre = complex(0.5 * (self._ruler + size[0]), 0.5 * size[1])  # of the box
+        self._centre = 0.5 * complex(*size)  # of the box
         self._wall = max(WALL_WIDTH * self._px, LEAST_WALL)
         self._trail: deque[tuple[float, complex]] = deque(maxlen=_TRAIL_POINTS)  # time [s], the jack's position [m]
         # Time [s], point in the box frame [m], radius [px].
         self._flashes: deque[tuple[float, complex, float]] = deque(maxlen=_MOST_FLASHES)
-        # Frames with neither overlay nor letters are drawn without pygame.
-        self._plain = not (overlay or self._human) and min(size) < _LETTERED
-        self._canvas = None if self._plain else Canvas(size)
+        self._canvas: Canvas | None = Canvas(size)
         self._window: Any = None
         self._clock: Any = None
         self.show(scene)
@@ -183,12 +174,12 @@ class Renderer:
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
 
     def snapshot(self) -> dict[str, Any]:
-        """What is drawn of the present scene, for one :meth:`restore`."""
+        """A copy of all that a frame shows of the present scene, for :meth:`restore`."""
         return {name: copy.copy(getattr(self, name)) for name in _OF_EPISODE}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to the moment of a :meth:`snapshot`."""
-        vars(self).update(snapshot)
+        vars(self).update({name: copy.copy(value) for name, value in snapshot.items()})
 
     def _contact_point(self, impact: Impact, state: Sequence[float] | Array) -> complex:
         """Return the point of the wall that the foot struck, in the box frame [m].
@@ -228,8 +219,6 @@ class Renderer:
             A fresh array (height, width, 3) of uint8, or None in the human mode, which shows it in the window and waits
             for the next frame's time.
         """
-        if self._plain:
-            return self._plain_frame()
         if self._canvas is None:
             self._canvas = Canvas(self._size)
         canvas = self._canvas
@@ -242,23 +231,11 @@ class Renderer:
         if self._overlay:
             self._draw_gauge(canvas)
         if self._lettered:
-            self._draw_rulers(canvas.surface)
             self._write_readings(canvas.surface)
         if self._human:
             self._show(canvas)
             return None
         return canvas.pixels()
-
-    def _plain_frame(self) -> NDArray[np.uint8]:
-        """Draw ruled lines, box and jack by compiled code."""
-        frame = np.empty((self._size[1], self._size[0], 3), np.uint8)
-        frame[:] = _INTERIOR
-        for axis in (0, 1):
-            for pixel, _ in self._rules(axis):
-                frame[(slice(None),) * (1 - axis) + (slice(round(pixel), round(pixel) + 1),)] = _RULE
-        pose = self._box.real, self._box.imag, self._angle, self._jack.real, self._jack.imag, self._jack_angle
-        draw_colours(frame, pose, self._scene, self._centre + 0.5 + 0.5j, _MARKS)
-        return frame
 
     def drawn(self) -> NDArray[np.uint8]:
         """A frame, as :meth:`render` returns it where there is no window."""
@@ -296,18 +273,18 @@ class Renderer:
         corner = (self._scene.box_half_width + 0.5 * self._wall / self._scale) * (1 + 1j)  # beneath the walls
         canvas.polygon([self._in_frame(corner * turn * 1j**number) for number in range(4)], _INTERIOR)
         for axis in (0, 1):
-            for pixel, _ in self._rules(axis):
+            for pixel in self._rules(axis):
                 canvas.line(pixel, axis, _RULE_DARKER)
 
-    def _rules(self, axis: int) -> Iterator[tuple[float, float]]:
-        """Yield the ruled lines of the frame as (pixel, coordinate [m]), along x (axis 0) or y (1)."""
+    def _rules(self, axis: int) -> Iterator[float]:
+        """Yield the ruled lines of the frame [px], along x (axis 0) or y (1)."""
         camera, centre = ((self._box.real, self._centre.real), (self._box.imag, self._centre.imag))[axis]
         beyond = math.fmod(camera, self._spacing)  # exact, however far off the camera is
         step = self._spacing * self._scale * (1.0, -1.0)[axis]  # [px]
         nearest = centre - beyond / self._spacing * step
         low, high = sorted((-nearest / step, (self._size[axis] - nearest) / step))
         for number in range(math.ceil(low), math.floor(high) + 1):
-            yield nearest + number * step, camera - beyond + number * self._spacing
+            yield nearest + number * step
 
     def _draw_trail(self, canvas: Canvas) -> None:
         """Draw the path of the jack's centre through the world, a bead for each recorded point."""
@@ -348,7 +325,7 @@ class Renderer:
 
     def _draw_gauge(self, canvas: Canvas) -> None:
         """Draw an arc in the direction of the torque, at most 140 degrees from the top."""
-        middle, radius = complex(self._ruler + 34.0 * self._px, self._floor - 28.0 * self._px), _GAUGE * self._px
+        middle, radius = complex(34.0 * self._px, self._size[1] - 28.0 * self._px), _GAUGE * self._px
         share = min(max(self._torque / self._scene.torque_limit, -1.0), 1.0)
 
         def at(degrees: float, beside: float = 0.0) -> complex:
@@ -362,39 +339,16 @@ class Renderer:
             side = 0.2 * radius * head * sign / 20.0
             canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], TORQUE)
 
-    def _draw_rulers(self, surface: pygame.Surface) -> None:
-        """Draw the scales of y, on the left, and of x, at the bottom, in the same unit."""
-        (width, height), left, floor = self._size, round(self._ruler), round(self._floor)
-        one, tick = max(1, round(self._px)), round(4.0 * self._px)
-        for area in ((0, 0, left, height), (0, floor, width, height - floor)):
-            surface.fill(_RULER_TINT, area)
-        for area in ((left, 0, one, floor), (left, floor, width - left, one)):
-            surface.fill(TRACK, area)
-        unit, symbol = _unit(self._scene.box_half_width, "m")
-        digits = -math.floor(math.log10(self._spacing / unit) + 1e-9)
-        for pixel, y in self._rules(1):
-            if pixel < floor:
-                surface.fill(TRACK, (left - tick, round(pixel), tick, one))
-                if pixel > 8.0 * self._px:  # its label is not cut
-                    point = complex(self._ruler - 7.0 * self._px, pixel)
-                    self._write(surface, f"{round(y / unit, digits):z.6g} {symbol}", point, 17, PALE_INK, 1.0)
-        for pixel, x in self._rules(0):
-            if pixel > left:
-                surface.fill(TRACK, (round(pixel), floor, one, tick))
-                if pixel < width - 16.0 * self._px:
-                    point = complex(pixel, self._floor + 12.0 * self._px)
-                    self._write(surface, f"{round(x / unit, digits):z.6g}", point, 17, PALE_INK, 0.5)
-
     def _write_readings(self, surface: pygame.Surface) -> None:
         unit, symbol = _unit(self._scene.torque_limit, "N m")
-        left, right = self._ruler + _MARGIN * self._px, self._size[0] - _MARGIN * self._px
+        left, right = _MARGIN * self._px, self._size[0] - _MARGIN * self._px
         first, second = 18j * self._px, 36j * self._px
         impacts = f"{self._count} impact{'' if self._count == 1 else 's'}"
         self._write(surface, f"t = {self._time:.2f} s", left + first)
         self._write(surface, impacts, left + second, 17, PALE_INK)
         self._write(surface, f"return {_number(self._return)}", right + first, align=1.0)
         self._write(surface, self._task, right + second, 17, PALE_INK, 1.0)
-        beside = complex(self._ruler + 64.0 * self._px, self._floor)  # the gauge
+        beside = complex(64.0 * self._px, self._size[1])  # the gauge
         self._write(surface, "torque", beside - 35j * self._px, 17, PALE_INK)
         self._write(surface, f"{_number(self._torque / unit)} {symbol}", beside - 20j * self._px)
 

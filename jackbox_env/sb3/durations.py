@@ -1,4 +1,4 @@
-"""Discounting by elapsed time, for decisions of different durations: a rollout buffer, and the callback it needs.
+"""Discounting by elapsed time, for decisions of different durations, with any algorithm of Stable-Baselines3.
 
 With ``action_repeat="bounce"`` a decision lasts until an impact. With one discount per decision an agent would prefer
 long ones.
@@ -12,26 +12,80 @@ import numpy as np
 
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     import torch
-    from stable_baselines3.common.buffers import RolloutBuffer
+    from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.callbacks import BaseCallback
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
+    from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 
-class DurationBuffer(RolloutBuffer):
-    """A rollout buffer whose discount of a decision is ``gamma`` to the power of its duration [s].
+class Durations(BaseCallback):
+    """Discounts by elapsed time: a model's ``gamma`` is then per second, not per decision.
 
-    ``PPO("MlpPolicy", envs, rollout_buffer_class=DurationBuffer, gamma=0.72)`` discounts by 0.72 a second. Train with
-    the callback too: ``model.learn(100_000, callback=Durations())``. Environments are those of
-    :func:`jackbox_env.sb3.make_sb3_vec_env`, or others whose infos have ``duration``.
+    ``PPO("MlpPolicy", envs, gamma=0.72).learn(100_000, callback=Durations())`` discounts by 0.72 a second. It is for
+    each algorithm of Stable-Baselines3 and sb3_contrib with a discount, and for the environments of
+    :func:`jackbox_env.sb3.make_sb3_vec_env`, or others whose infos have ``duration`` [s]. Pass it to each call of
+    ``learn`` from the first one on.
 
-    The advantage estimate is that of Schulman et al. 2016, "High-dimensional continuous control using generalized
-    advantage estimation", eq. 16, with the discounts of a semi-Markov decision process: Bradtke & Duff 1995,
-    "Reinforcement learning methods for continuous-time Markov decision problems". :class:`Durations` fills in the
-    durations.
+    The discounts are those of a semi-Markov decision process: Bradtke & Duff 1995, "Reinforcement learning methods for
+    continuous-time Markov decision problems". Advantages are estimated with them as in Schulman et al. 2016,
+    "High-dimensional continuous control using generalized advantage estimation", eq. 16.
     """
+
+    def _init_callback(self) -> None:
+        """Let the model's buffer discount by duration.
+
+        Raises:
+            TypeError: the model has no discount, or a buffer of another kind.
+            ValueError: the model has transitions without durations.
+        """
+        model: Any = self.model
+        if not hasattr(model, "gamma"):
+            raise TypeError(f"{type(model).__name__} has no discount: train it without Durations")
+        buffer = getattr(model, "rollout_buffer", None) or model.replay_buffer
+        kind = type(buffer)
+        if isinstance(buffer, RolloutBuffer) and not isinstance(buffer, _RolloutByDuration):
+            buffer.__class__ = type(kind.__name__, (_RolloutByDuration, kind), {})
+        elif kind is ReplayBuffer and not buffer.optimize_memory_usage:
+            if buffer.size():
+                raise ValueError(f"Durations must be used from the first step on, got a model of {buffer.size()} steps")
+            buffer.__class__ = _ReplayByDuration
+            buffer.gamma, buffer.durations = model.gamma, np.ones_like(buffer.rewards)
+        elif not isinstance(buffer, _RolloutByDuration | _ReplayByDuration):
+            needed = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
+            raise TypeError(f"Durations needs {needed}, got {kind.__name__}")
+        self.training_env.unwrapped.discounted = True  # type: ignore[attr-defined]
+
+    def _on_step(self) -> bool:
+        """Pass a decision's durations on, and add to rewards the values after the time limit, in one evaluation.
+
+        PPO would evaluate these one by one, and discount them by ``gamma`` alone.
+        """
+        model: Any = self.model
+        infos = self.locals["infos"]
+        if not isinstance(buffer := getattr(model, "rollout_buffer", None), _RolloutByDuration):
+            return True
+        durations = np.array([info["duration"] for info in infos])
+        buffer.durations[buffer.pos] = durations
+        cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
+        if cut:
+            last = model.policy.obs_to_tensor(np.stack([infos[number]["terminal_observation"] for number in cut]))[0]
+            memory = list[Any]()
+            if "lstm_states" in self.locals:  # of RecurrentPPO
+                memory += [
+                    tuple(part[:, cut].contiguous() for part in self.locals["lstm_states"].vf),
+                    torch.zeros(len(cut)),
+                ]
+            with torch.no_grad():
+                values = model.policy.predict_values(last, *memory).cpu().numpy().ravel()
+            self.locals["rewards"][cut] += model.gamma ** durations[cut] * values
+            for number in cut:
+                infos[number]["TimeLimit.truncated"] = False  # it is accounted for
+        return True
+
+
+class _RolloutByDuration(RolloutBuffer):
+    """A rollout buffer whose discount of a decision is ``gamma`` to the power of its duration."""
 
     durations: Any  # [s], (steps, environments)
 
@@ -64,24 +118,26 @@ class DurationBuffer(RolloutBuffer):
         self.returns = self.advantages + self.values
 
 
-class Durations(BaseCallback):
-    """Writes the durations of decisions into the model's :class:`DurationBuffer`.
+class _ReplayByDuration(ReplayBuffer):
+    """A replay buffer whose samples have ``gamma`` to the power of the decision's duration as their discount."""
 
-    It also bootstraps episodes that the time limit truncated, discounted by duration and in one evaluation, where PPO
-    evaluates them one by one with one discount.
-    """
+    gamma: float
+    durations: Any  # [s], (size, environments)
 
-    def _on_step(self) -> bool:
-        model: Any = self.model
-        buffer, infos = model.rollout_buffer, self.locals["infos"]
-        durations = np.array([info["duration"] for info in infos])
-        buffer.durations[buffer.pos] = durations
-        cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
-        if cut:
-            last = model.policy.obs_to_tensor(np.stack([infos[number]["terminal_observation"] for number in cut]))[0]
-            with torch.no_grad():
-                values = model.policy.predict_values(last).cpu().numpy().ravel()
-            self.locals["rewards"][cut] += model.gamma ** durations[cut] * values
-            for number in cut:
-                infos[number]["TimeLimit.truncated"] = False  # it is accounted for
-        return True
+    def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:
+        """Add a transition of each environment."""
+        self.durations[self.pos] = [info["duration"] for info in infos]
+        super().add(obs, next_obs, action, reward, done, infos)
+
+    def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
+        """As that of ReplayBuffer, with discounts."""
+        chosen = batch_inds, np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 - of its seed
+        columns = (
+            self._normalize_obs(self.observations[chosen], env),
+            self.actions[chosen],
+            self._normalize_obs(self.next_observations[chosen], env),
+            (self.dones[chosen] * (1.0 - self.timeouts[chosen]))[:, None],
+            self._normalize_reward(self.rewards[chosen][:, None], env),
+            self.gamma ** self.durations[chosen][:, None],
+        )
+        return ReplayBufferSamples(*map(self.to_torch, columns))

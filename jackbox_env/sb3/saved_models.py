@@ -21,11 +21,9 @@ from jackbox_env.simulators.fidelity import KEYWORDS
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import replacing, write_json
 
-try:
+with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 ENV = "env.json"  # beside saved models: what they act in
 PACKAGES = ("stable_baselines3", "sb3_contrib")  # that models are of

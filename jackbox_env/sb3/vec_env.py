@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -25,12 +26,10 @@ from jackbox_env.simulators import Impact
 from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.tools import checks as check
 
-try:
+with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(check.extra_needed("jackbox_env.sb3", "Stable-Baselines3", "train")) from error
 
 _KEYWORDS = [
     name
@@ -84,6 +83,7 @@ class JackInBoxVecEnv(VecEnv):
         self.metadata = self.vector_env.metadata
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
         self._changes = 0  # of the vector environment, at the time of returns and lengths
+        self.discounted = env_kwargs.get("action_repeat") != "bounce"  # rightly: Durations sets it too
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -118,6 +118,17 @@ class JackInBoxVecEnv(VecEnv):
 
     def step_async(self, actions: Any) -> None:
         """Store the actions, shape (N, n) or (N,), for ``step_wait``."""
+        if not self.discounted:
+            caller = sys._getframe(1)
+            while caller.f_back and caller.f_code.co_name in ("step", "step_async"):  # of wrappers
+                caller = caller.f_back
+            if caller.f_code.co_name == "collect_rollouts":  # of a training
+                self.discounted = True  # one warning is enough
+                warnings.warn(
+                    "decisions of 'bounce' last unequally, and gamma is per decision: learn(n, callback=Durations()) "
+                    "of jackbox_env.sb3 discounts by elapsed time",
+                    stacklevel=2,
+                )
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:

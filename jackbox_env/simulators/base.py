@@ -102,7 +102,6 @@ class Simulator(ABC):
     settings: ClassVar[tuple[str, ...]] = ()  # further arguments, attributes of the same names; pickled
     room: ClassVar[int]  # [bytes] of memory of one environment, about
     compiled: ClassVar[bool] = False  # whether rewards and observations are computed in compiled code, by its steps
-    verdict = 0  # of the last such step, see ``exact.score.judge``
 
     def __init__(self, scene: Scene, **settings: Any) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
@@ -176,16 +175,16 @@ class Simulator(ABC):
         state, time, mean, impacts = self.step_checked(dt, torque)
         return StepResult(np.array(state), time, mean, impacts)
 
-    def step_checked(self, dt: float, torque: float | None, *judging: Any) -> StepResult:
+    def step_checked(self, dt: float, torque: float | None, *scoring: int) -> StepResult:
         """As :meth:`step`, for arguments that are checked. A later step may overwrite the result's state.
 
-        ``judging``: further arguments of :meth:`stepped` if it also computes the reward and the observation.
+        ``scoring``: for a ``compiled`` model, the address of the ``exact.score.Scoring`` that its step fills in.
         """
         inside, thread = self._inside, get_ident()
         if inside.setdefault(0, thread) != thread:
             raise in_use("a simulator")
         try:
-            result = self.stepped(dt, torque, *judging)
+            result = self.stepped(dt, torque, *scoring)
             if type(result) is not StepResult:
                 raise TypeError(f"{type(self).__name__}.stepped must return a StepResult, got {check.shown(result)}")
             self._present = result

@@ -17,19 +17,18 @@ Fails: a step that needs more than 1,000,000 gap evaluations raises JackLostErro
     or less does so about a thousand times per control step; a foot that reaches another wall meanwhile may be as deep
     in that wall when it bounces. With loss no foot is deeper than 2.4e-10 m. Angles are rounded to their unit in the
     last place: beyond 1e6 rad a foot may be outside by up to 4 L times that unit (5e-10 L at 1e6 rad, 5e-4 L at
-    1e12 rad). A drive's functions are interpolated, see ``functions.py``: a pulse between two of the 13 points of a
+    1e12 rad). A drive's functions are interpolated, see ``drives.py``: a pulse between two of the 13 points of a
     piece is missed.
 Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C library, for states, impacts, observations and
     rewards. Compiled code adds in the order written, fuses no product with a sum, and has its own cosines
     (``geometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/search.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import cast
@@ -41,17 +40,16 @@ from typing_extensions import override
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
-from jackbox_env.exact.score import one_row, step_and_judge
+from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
-    NOTHING,
     SCENE_PARAMS,
     TIME,
     TORQUE,
-    TORQUES,
     WIDTH,
     Call,
+    Results,
     Rules,
     Scenes,
     Status,
@@ -62,7 +60,7 @@ from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
-from jackbox_env.simulators.functions import function_pieces
+from jackbox_env.simulators.drives import function_pieces
 
 WITH_PIECES = (FUNCTIONS, CONSTANT_BESIDE_FORCES)  # kinds with functions, which are cut into pieces
 NO_TABLE: Array = np.zeros((0, TABLE_WIDTH))
@@ -136,9 +134,7 @@ class ExactSimulator(Simulator):
         self._prepare()
 
     @override
-    def stepped(
-        self, dt: float, torque: float | None, judged: int = 0, observation: NDArray[np.float32] | None = None
-    ) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
         present, held = self._present, torque is not None
         if torque is not None:
             self._control[0] = torque
@@ -149,10 +145,7 @@ class ExactSimulator(Simulator):
             self._states[1 - into][:] = present.state
         call, self._times[1 - into][0] = self._calls[into], present.time
         while True:
-            if observation is None:
-                ended, _, _, _, hits = self._run(call.address, 0, 1, 0)
-            else:
-                ended, hits, self.verdict = self._step_and_judge(self._loop, call.address, judged, observation)
+            ended, hits = self._step_and_score(self._loop, call.address, scoring)
             if not ended:
                 break
             if ended not in AGAIN:
@@ -187,9 +180,9 @@ class ExactSimulator(Simulator):
 
     def _prepare(self) -> None:
         blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
-        self._blocks, self._states, self._run = blocks, list(blocks[:, 0, :12, 0]), compiled(run)
+        self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
-        self._loop, self._step_and_judge = 0, compiled(step_and_judge)
+        self._loop, self._step_and_score = address_of(compiled(run), one_row), compiled(step_and_score)
         self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
         self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
@@ -206,12 +199,11 @@ class ExactSimulator(Simulator):
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
         numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
         scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
-        rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
-        results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared, self._loop = [None, None], address_of(self._run, one_row)
+        results = Results(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
+        self._prepared = [None, None]
         for into, call in enumerate(self._calls):
-            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
+            call.prepare(scenes, Rules(dt), self._blocks[1 - into], self._blocks[into], controls, results)
         if not self._cut[held]:
             self._prepared[held] = dt
 

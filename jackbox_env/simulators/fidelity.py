@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from numbers import Real
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from jackbox_env.tools import checks as check
 
@@ -15,13 +15,10 @@ DEFAULT = "pymunk"  # contact model by default
 
 
 class Setting(NamedTuple):
-    """A contact model and its settings, as the environment's keywords: ``**setting._asdict()``; None: the default.
-
-    A field here is a keyword of the environments and, with this help, an option of the commands.
-    """
+    """A contact model and its settings, as the environment's keywords: ``**setting._asdict()``; None: the default."""
 
     contact: str
-    substeps: Annotated[int | None, "engine steps of pymunk per step, beside --contact; default: 4"] = None
+    substeps: int | None = None  # engine steps of pymunk per control step; None: 4
 
 
 KEYWORDS = ("fidelity", *Setting._fields)  # which choose how impacts are computed

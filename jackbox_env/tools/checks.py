@@ -7,7 +7,8 @@ import json
 import math
 import numbers
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeVar
@@ -188,9 +189,14 @@ def closest(key: Any, names: Iterable[str]) -> str:
     return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
-def extra_needed(what: str, package: str, extra: str) -> str:
-    """The sentence for a missing package: the extra that installs it, and how."""
-    return f'{what} needs {package}, the extra {extra!r}: in a checkout of jackbox, pip install -e ".[{extra}]"'
+@contextmanager
+def extra(what: str, package: str, name: str) -> Iterator[None]:
+    """Explain a ModuleNotFoundError of the block's imports by the extra that installs the package."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        sentence = f'{what} needs {package}, the extra {name!r}: in a checkout of jackbox, pip install -e ".[{name}]"'
+        raise ModuleNotFoundError(sentence) from error
 
 
 def refuse_unknown(

@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from jackbox_env import Action
-from jackbox_env.sb3 import make_sb3_vec_env
+from jackbox_env.sb3 import Durations, make_sb3_vec_env
 
 
 def towards(scene: Any, state: Any, action: Any, time: float, dt: float) -> Any:
@@ -26,5 +26,5 @@ envs = make_sb3_vec_env(
 ppo: dict[str, Any] = {"n_steps": 12, "batch_size": 1024, "gamma": 0.7}
 ppo["policy_kwargs"] = {"log_std_init": -1.0}  # small actions at first
 model = PPO("MlpPolicy", envs, 2e-3, **ppo, seed=0, device="cpu")
-model.learn(int(sys.argv[1]) if sys.argv[1:] else 100_000, progress_bar=True)
+model.learn(int(sys.argv[1]) if sys.argv[1:] else 100_000, callback=Durations(), progress_bar=True)
 print("return {:.0f}, deviation {:.0f}".format(*evaluate_policy(model, envs, n_eval_episodes=64)))

@@ -90,7 +90,7 @@ def test_train_prints_a_command_that_evaluates_in_the_same_environment(tmp_path:
 
 @pytest.mark.slow
 def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Path) -> None:
-    small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --eval-episodes 2"
+    small = "--num-envs 4 --rollout-steps 64 --batch-size 64 --checkpoint-steps 256 --eval-steps 8192 --epochs 1"
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "--folder", "run", "--no-progress", *small.split()]
     # A shell's background jobs ignore SIGINT, and so would all that they start.
     at_work = subprocess.Popen(
@@ -101,8 +101,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     checkpoints = tmp_path / "run" / "checkpoints"
-    deadline = time.monotonic() + 120.0
-    while not list(checkpoints.glob("*.zip")) and time.monotonic() < deadline:
+    while not list(checkpoints.glob("*.zip")) and at_work.poll() is None:
         time.sleep(0.05)
     at_work.send_signal(signal.SIGINT)
     _, errors = at_work.communicate(timeout=60)
@@ -123,7 +122,7 @@ def test_training_survives_ctrl_c_and_resumes_from_the_command_line(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_demo_runs_end_to_end_when_made_small(tmp_path: Path) -> None:
-    done = script("demo", "--folder", "demo", "--total-steps", "8192", "--episodes", "4", cwd=tmp_path)
+    done = script("demo", "--folder", "demo", "--total-steps", "2048", "--episodes", "2", cwd=tmp_path)
     for policy in (*SCRIPTED, "PPO"):
         assert f"| {policy}" in done.stdout
     for name in ("model.zip", "settings.json", "run.json", "results.json", "results.png", "film.gif"):

@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.checkpoints import latest_checkpoint
 from agents.training.models import load_model, make_ppo, make_vec_env
-from jackbox_env.sb3 import DurationBuffer, Durations
+from jackbox_env.sb3 import Durations
 from jackbox_env.tools.files import new_folder
 from tests.agents.small_run import TINY
 
@@ -94,41 +97,65 @@ FLOATING = replace(
 )  # fmt: skip
 
 
-def filled(kind: Any, gamma: float, durations: Any = None) -> Any:
-    rng, space = np.random.default_rng(0), make_vec_env(TINY.env_settings, 1, 0)
-    buffer = kind(7, space.observation_space, space.action_space, "cpu", gae_lambda=0.9, gamma=gamma, n_envs=3)
-    buffer.reset()
-    for _ in range(7):
-        values, logs = torch.from_numpy(rng.normal(size=(2, 3)).astype(np.float32))
-        buffer.add(
-            rng.normal(size=(3, 10)), rng.normal(size=(3, 1)), rng.normal(size=3), rng.random(3) < 0.3, values, logs
-        )
-    if durations is not None:
-        buffer.durations[:] = durations
-    last = torch.from_numpy(rng.normal(size=(3, 1)).astype(np.float32))
-    buffer.compute_returns_and_advantage(last, np.array([False, True, False]))
-    return buffer
+class Bandit(gym.Env[Any, Any]):
+    """Long decisions earn more each, short ones more a second: the discount decides."""
+
+    observation_space, action_space = gym.spaces.Box(0.0, 1.0, (1,)), gym.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, **_: Any) -> Any:
+        self.decisions = 0
+        return np.ones(1, np.float32), {}
+
+    def step(self, action: Any) -> Any:
+        self.decisions += 1
+        longer = float(action[0])
+        return np.ones(1, np.float32), 1.4 + 0.4 * longer, False, self.decisions >= 8, {"duration": 2.0 + longer}
 
 
-def test_equal_durations_are_one_discount_per_decision() -> None:
-    ours, theirs = filled(DurationBuffer, 0.8, 1.5), filled(RolloutBuffer, 0.8**1.5)
-    np.testing.assert_allclose(ours.advantages, theirs.advantages, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(ours.returns, theirs.returns, rtol=1e-5, atol=1e-6)
-    other = filled(DurationBuffer, 0.8, np.linspace(0.2, 2.0, 21).reshape(7, 3))
-    assert abs(other.advantages - theirs.advantages).max() > 0.01
+BANDITS: dict[str, Any] = {
+    "PPO": partial(PPO, n_steps=64, n_epochs=5),
+    "SAC": partial(SAC, tau=0.05, learning_starts=64, gradient_steps=4, ent_coef=0.02),
+}
 
 
-def test_values_after_the_time_limit_are_discounted_as_ppo_does() -> None:
+@pytest.mark.parametrize("name", BANDITS)
+def test_the_discount_by_elapsed_time_picks_the_right_arm(name: str, tmp_path: Path) -> None:
+    chosen = list[float]()
+    common: dict[str, Any] = {"gamma": 0.8, "batch_size": 64, "learning_rate": 3e-3, "seed": 0, "device": "cpu"}
+    for callback in (None, Durations()):
+        model = BANDITS[name]("MlpPolicy", DummyVecEnv([Bandit] * 4), policy_kwargs={"net_arch": [16]}, **common)
+        model.learn(2048 if name == "PPO" else 1000, callback=callback)
+        model.save(tmp_path / "model.zip")
+        chosen.append(float(type(model).load(tmp_path / "model.zip").predict(np.ones(1), deterministic=True)[0][0]))
+    assert chosen[0] > 0.5, "with one discount per decision the long arm is best"
+    assert chosen[1] < -0.5
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_values_after_the_time_limit_are_discounted_as_ppo_does(recurrent: bool) -> None:
     learnt = list[torch.Tensor]()
-    ours: list[BaseCallback] = [Durations()]
-    plain: dict[str, Any] = {"rollout_buffer_class": RolloutBuffer}
-    for gamma, more, callbacks in ((0.8, {}, ours), (0.8**2, plain, []), (0.8, plain, [])):
+    for gamma, callback in ((0.8, Durations()), (0.8**2, None), (0.8, None)):
         settings = replace(FLOATING, gamma=gamma)
-        model = make_ppo(settings, make_vec_env(settings.env_settings, 4, 0), **more)
-        model.learn(96, callback=callbacks)
+        environments = make_vec_env(settings.env_settings, 4, 0)
+        model: Any = make_ppo(settings, environments)
+        if recurrent:
+            contrib: Any = pytest.importorskip("sb3_contrib")
+            model = contrib.RecurrentPPO("MlpLstmPolicy", environments, n_steps=12, gamma=gamma, seed=0, device="cpu")
+        with nullcontext() if callback else pytest.warns(UserWarning, match="last unequally"):
+            model.learn(96, callback=callback)
         learnt.append(torch.cat([weight.flatten() for weight in model.policy.state_dict().values()]))
     torch.testing.assert_close(learnt[0], learnt[1], rtol=1e-5, atol=1e-6)
     assert (learnt[0] - learnt[2]).abs().max() > 1e-4
+
+
+def test_a_training_with_decisions_of_unequal_durations_is_warned_of_it_once() -> None:
+    environments = make_vec_env(FLOATING.env_settings, 4, 0)
+    model = make_ppo(FLOATING, environments)
+    environments.reset()
+    environments.step(np.zeros((4, 2)))  # is no training: a warning would be an error
+    with pytest.warns(UserWarning, match=r"learn\(n, callback=Durations\(\)\)") as seen:
+        model.learn(96)
+    assert len(seen) == 1
 
 
 def test_settings_with_a_setting_that_went_are_read() -> None:

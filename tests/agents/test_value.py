@@ -14,7 +14,7 @@ from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.planning.icem import Search
+from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for, states_in
 
@@ -26,7 +26,7 @@ def test_the_ends_of_candidates_are_valued() -> None:
     weights = layers_for()
     value, scene, states = Value(EXACT, weights), Scene(drive=None), states_in(Scene(), 4)
     tried = np.random.default_rng(0).uniform(-1.0, 1.0, (4, 7, 10))
-    plain, ends = Search("juggle", 0.02, **SMALL).evaluate(scene, states, tried)
+    plain, ends = PlanSearch("juggle", 0.02, **SMALL).evaluate(scene, states, tried)
     returns, same = ValuedSearch(value, "juggle", 0.02, **SMALL).evaluate(scene, states, tried)
     np.testing.assert_array_equal(same, ends)
     expected = np.array([value.of(last) for last in ends])
@@ -37,10 +37,10 @@ def test_the_ends_of_candidates_are_valued() -> None:
     np.testing.assert_allclose(expected[1], UNIT * (inner @ weights[1][0].T + weights[1][1])[:, 0], rtol=1e-5)
 
 
-def search_in(**settings: Any) -> Search:
+def search_in(**settings: Any) -> PlanSearch:
     """The search of the planner that the registry makes for an environment."""
     policy: Any = find_policy("planner", EnvSettings(**settings), 0).policy
-    search: Search = policy.search
+    search: PlanSearch = policy.search
     return search
 
 

@@ -17,7 +17,8 @@ from jackbox_env import Chirp, Fit, Recording, Scene, rollout, simulate
 from jackbox_env.commands import fit, fit_page
 from jackbox_env.commands import simulate as simulating
 from jackbox_env.model.states import STATE_NAMES
-from jackbox_env.recording.files import write_csv, write_scene
+from jackbox_env.recording.files import write_csv
+from jackbox_env.tools.files import write_json
 
 pytest.importorskip("scipy")
 camera = pytest.importorskip("scripts.studies.fitting.camera")
@@ -34,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("recorded")
     rng = np.random.default_rng(0)
     motion = simulate(TRUE, [0.0] * 5 + [math.pi / 4.0] + [0.0] * 6, 4.0)
-    write_scene(TRUE, made / "scene.json")
+    write_json(made / "scene.json", TRUE.as_dict())
     with write_csv(motion.tables(), made / "states.csv", made / "impacts.csv")[0].open() as file:
         head, *rows = csv.reader(file)
     noisy = [[row[0], *(float(cell) + NOISE * rng.standard_normal() for cell in row[1:13]), row[13]] for row in rows]

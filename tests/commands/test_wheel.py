@@ -107,6 +107,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow  # compiles anew
+@pytest.mark.timeout(1800)
 def test_check_finds_that_it_works_and_which_extras_are_missing(site: Path, cache: Path, tmp_path: Path) -> None:
     check = partial(jackbox, site, tmp_path, "check", status=0, **OLDEST, NUMBA_CACHE_DIR=str(cache))
     done, again = check(), check()

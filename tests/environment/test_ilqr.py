@@ -30,15 +30,15 @@ def near_the_target(states: Array) -> tuple[Array, Array, Array]:
 
 @pytest.mark.parametrize(("task", "gain"), [("juggle", 15.0), ("spin", 15.0)])
 def test_it_earns_more_and_returns_the_states_that_it_plays(task: str, gain: float) -> None:
-    improved = ilqr(SCENE, START, PLAN, 0.02, task=task, repeat=5, time=2.0)
+    improved = ilqr(SCENE, START, PLAN, 0.02, task=task, repeat=5)
     torques, states, value, before, iterations, nonsmooth = improved
-    played: Any = rollout(SCENE, START, torques[None], 0.02, 2.0, rewards=task, repeat=5, impacts=True)
+    played: Any = rollout(SCENE, START, torques[None], 0.02, rewards=task, repeat=5, impacts=True)
     assert played.impacts.sum() >= 2
     np.testing.assert_array_equal(played.trajectories[0], states)
     assert value == pytest.approx(played.rewards.sum(), rel=1e-13)
     assert value > before + gain
     assert before == pytest.approx(
-        rollout(SCENE, START, PLAN[None], 0.02, 2.0, rewards=task, repeat=5).rewards.sum(), rel=1e-13
+        rollout(SCENE, START, PLAN[None], 0.02, rewards=task, repeat=5).rewards.sum(), rel=1e-13
     )
     assert abs(torques).max() <= SCENE.torque_limit
     assert 0 < iterations <= method.MOST_ITERATIONS

@@ -16,8 +16,7 @@ from numba.core.registry import cpu_target
 
 from jackbox_env.exact import run
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
-from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.threads import Threads
+from jackbox_env.exact.pcg64 import fresh, packed, seeded, uniform
 from jackbox_env.jit import compiler
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.landing import QUARTER
@@ -114,18 +113,3 @@ def test_unseeded_generators_differ_and_are_sound() -> None:
 
 
 # -- threads ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7])
-@pytest.mark.parametrize("total", [7, 1000])
-def test_threads_share_out_everything_once(count: int, total: int) -> None:
-    seen = np.zeros(total, dtype=np.int64)
-
-    def work(number: int, low: int, high: int) -> tuple[int, int]:
-        seen[low:high] += 1
-        return number, low
-
-    numbers, lows = zip(*Threads(count).run(work, total, grain=3), strict=True)
-    assert set(numbers) <= set(range(count))
-    assert (seen == 1).all()
-    assert (np.diff(lows) >= 3).all()

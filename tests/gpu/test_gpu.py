@@ -6,8 +6,10 @@ import math
 import os
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from jackbox_env.jit.compiler import intermediate_code
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.planning import card
+from jackbox_env.planning.icem import PlanSearch
 from scripts.studies.speed import gpu
 from tests.gpu.translation import loaded
 
@@ -179,12 +182,58 @@ def test_a_remainder_as_gpus_compute_it_changes_bits(tmp_path: Path, chip: str) 
 # -- refusals ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_card_is_refused_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_card_is_refused_in_a_sentence() -> None:
     rows = None, np.zeros(12), np.zeros(3), 0.02
     with pytest.raises(RuntimeError, match='^device="cuda" has not run on a GPU yet, only its code has been checked;'):
         jackbox_env.rollout(*rows, device="cuda")
     with pytest.raises(ValueError, match="^device must be one of 'cuda', got 'cpu'"):
         jackbox_env.rollout(*rows, device="cpu")
-    monkeypatch.setenv("JACKBOX_UNTRIED_GPU", "1")
-    with pytest.raises(ImportError, match='^device="cuda" needs cuda-core, the extra'):
+
+
+@pytest.mark.parametrize(
+    ("available", "kind", "sentence"),
+    [
+        (
+            None,
+            ImportError,
+            r"""device="cuda" needs cuda-core, the extra 'gpu': in a checkout of jackbox, pip install -e""",
+        ),
+        (
+            False,
+            RuntimeError,
+            'device="cuda" needs a GPU of NVIDIA and a driver for CUDA 12 or newer, PyTorch finds none',
+        ),
+        (True, RuntimeError, 'the driver cannot load the code of device="cuda", for CUDA 11.8 or newer: unsupported'),
+    ],
+    ids=["no cuda-core", "no driver", "old driver"],
+)
+def test_a_missing_driver_is_named(
+    monkeypatch: pytest.MonkeyPatch, available: bool | None, kind: type[Exception], sentence: str
+) -> None:
+    core = Mock()
+    core.ObjectCode.from_ptx.side_effect = RuntimeError("unsupported")
+    monkeypatch.setitem(sys.modules, "cuda", core)
+    monkeypatch.setitem(sys.modules, "cuda.core", None if available is None else core)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: available)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
+    with pytest.raises(kind, match="^" + re.escape(sentence)):
         device.launcher("")
+
+
+@pytest.mark.usefixtures("without_card")
+def test_too_little_memory_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "launcher", Mock())
+    monkeypatch.setattr(device, "play", Mock(side_effect=torch.cuda.OutOfMemoryError))
+    with pytest.raises(MemoryError, match="^the GPU has too little memory for 1 rows of 3 steps: play fewer$"):
+        jackbox_env.rollout(None, np.zeros(12), np.zeros(3), 0.02, rewards=gpu.TASK, device="cuda")
+
+
+@needs_gcc
+@pytest.mark.usefixtures("without_card")
+def test_planners_use_a_card() -> None:
+    plans, states = dict[str | None, Any](), np.zeros((1, 12))
+    for place in ("cuda", None):
+        search = PlanSearch(gpu.TASK, 0.02, repeat=5, knots=3, samples=8, elites=2, iterations=2, device=place)
+        plans[place], _ = search.decide(Scene(), states, search.begin(1))
+    np.testing.assert_array_equal(plans["cuda"].plans, plans[None].plans)
+    np.testing.assert_array_equal(plans["cuda"].returns, plans[None].returns)

@@ -34,7 +34,7 @@ EXAMPLES: int = settings.default.max_examples  # type: ignore[union-attr]
 def test_every_kind_of_environment_does_the_same_whatever_is_called(contact: str, cases: Callable[[int], int]) -> None:
     counts: Counter[str] = Counter()
 
-    @settings(max_examples=EXAMPLES // 3 * cases(4))
+    @settings(max_examples=EXAMPLES // 3 * cases(3))
     @given(st.data())
     def does_the_same(data: st.DataObject) -> None:
         draw = HypothesisDraw(data.draw)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, Task, make_simulator
+from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, TaskError, make_simulator
 from jackbox_env.model.tasks import sample_start
 
 FALLING = np.array([0.0, 0, 0, 3.0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # a foot strikes the floor within the first step
@@ -162,3 +162,18 @@ def test_the_present_may_be_restored_after_several_steps(contact: str) -> None:
             twin.state.tobytes(), twin.torque, twin.impacts,
         )  # fmt: skip
         simulator.step(0.02, 1e5), twin.step(0.02, 1e5)
+
+
+def test_a_refused_start_in_another_scene_changes_no_picture() -> None:
+    def height(scene: Any, state: Any, time: float) -> Any:
+        return (math.nan if scene.box_half_width == 9.0 else state.y_jack,)
+
+    envs = JackInBoxVectorEnv(2, contact="pymunk", observation=Observation(("y",), -1.0, 1.0, height),
+                              render_mode="rgb_array", render_size=(64, 64))  # fmt: skip
+    envs.reset(seed=0, options={"state": FALLING})
+    for _ in range(2):  # what is restored may be restored again
+        before = shown(envs)
+        with pytest.raises(TaskError):
+            envs.reset(seed=1, options={"scene": [{"box_half_width": 12.0}, {"box_half_width": 9.0}]})
+        assert shown(envs) == before
+        envs.step(np.zeros(2))

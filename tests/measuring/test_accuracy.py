@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
 
 def test_energy_that_comes_from_nowhere_is_seen() -> None:
     class Heater(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(state=result.state * np.where(np.arange(12) == 9, 1.001, 1.0))
 
@@ -106,14 +105,14 @@ def test_energy_that_comes_from_nowhere_is_seen() -> None:
 class Ghost(ExactSimulator):
     """Flies through walls and keeps its energy."""
 
-    def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
         return StepResult(np.array(flown(self.scene, self.state.tolist(), self.time, dt, torque)), self.time + dt)
 
 
 class Coward(ExactSimulator):
     """Gives up at walls."""
 
-    def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
         result = super().stepped(dt, torque)
         if result.impacts:
             raise JackLostError("the jack would leave the box")
@@ -164,7 +163,7 @@ def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_its_dela
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     class Nervous(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None, *judged: Any) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(impacts=(*result.impacts, Impact(result.time - 0.001, 3, 3, 1.0)))
 

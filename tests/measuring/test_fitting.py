@@ -85,7 +85,7 @@ def test_a_wrong_model_does_not_converge_to_wrong_intervals(
     wrong: dict[str, float], cases: Callable[[int], int]
 ) -> None:
     fields = ("jack_mass", "restitution")
-    for seed in range(cases(8)):
+    for seed in range(cases(4)):
         rng = np.random.default_rng(seed)
         scene = Scene(
             jack_mass=rng.uniform(4.0, 40.0), jack_arm=rng.uniform(0.8, 1.5), restitution=rng.uniform(0.75, 0.98),

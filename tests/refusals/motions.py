@@ -49,7 +49,7 @@ METHODS: dict[str, Kinds] = {
     "__call__": {"t": TIMES, "side": choice("before", ("before", "after"))},
     "energy": {"t": TIMES.but(nothing=None), "side": choice("before", ("before", "after"))},
     "work": {"t": TIMES.but(nothing=None)},
-    "restart": {"k": whole(1, -2, 1), "duration": real(0.5, above=0.0, none=True)},
+    "restart": {"k": whole(1, -2, 1)},
 }
 ROWS = [
     Row("simulate", lambda _: jackbox_env.simulate, SIMULATE),

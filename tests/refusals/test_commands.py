@@ -340,7 +340,6 @@ SIMULATIONS = [
         simulates('--gravity 3 --scene {"gravity":2}'), "gravity must be chosen once, got 2 in --scene and 3 beside it"
     ),
     refused(simulates("--restitution 2"), "restitution must be a finite number at least 0 and at most 1, got 2.0"),
-    refused(simulates("--torque-column linear"), "--torque-column goes with a FILE of --torque, got --torque chirp"),
     refused(simulates("--folder out"), "out exists, and is never overwritten: choose another place", {"out/a.b": ""}),
     refused(
         simulates("--film run.gif"), "run.gif exists, and is never overwritten: choose another place", {"run.gif": ""}

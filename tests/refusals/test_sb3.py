@@ -14,15 +14,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from sb3_contrib import ARS
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
 
 import jackbox_env.torch
 from agents.policies.registry import find_policy
-from jackbox_env.sb3 import DurationBuffer, make_sb3_vec_env, save_model
+from jackbox_env.sb3 import Durations, make_sb3_vec_env, save_model
 from scripts import evaluate
 from tests.agents.test_saved_models import HERE, Other, native, trained
-from tests.agents.test_training import filled
 from tests.refusals.sentences import (
     START,
     Refusal,
@@ -55,6 +55,18 @@ def monitored() -> Any:
     envs = VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=1), info_keywords=("impacts",))
     envs.reset()
     return envs
+
+
+REPLAY = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
+
+
+def learn(algorithm: Any, first: Any = True, again: Any = True, **more: Any) -> None:
+    """Train twice, with Durations unless it is None."""
+    of_ppo = {"n_steps": 9, "batch_size": 9, "n_epochs": 1} if algorithm is PPO else {}
+    policy = "MlpPolicy" if algorithm is not ARS else "LinearPolicy"
+    model = algorithm(policy, make_sb3_vec_env(1, contact="exact"), device="cpu", **of_ppo, **more)
+    for callback in (first, again):
+        model.learn(9, callback=callback and Durations())
 
 
 LEARNING = [
@@ -159,10 +171,14 @@ LEARNING = [
     Refusal(
         lambda envs: envs.venv.step(np.zeros((2, 1)))[3][0]["something"], KeyError, "'something'", Subject(monitored)
     ),
-    Refusal(
-        lambda _: filled(DurationBuffer, 0.8),
-        RuntimeError,
-        "the durations of decisions are missing: train with the callback Durations",
+    *(
+        Refusal(lambda _, model=model, more=more: learn(model, **more), kind, sentence)
+        for model, more, kind, sentence in (
+            (PPO, {"again": None}, RuntimeError, "the durations of decisions are missing: train with the callback ..."),
+            (SAC, {"first": None}, ValueError, "Durations must be used from the first step on, got a model of 9 steps"),
+            (SAC, {"n_steps": 2}, TypeError, f"Durations needs {REPLAY}, got NStepReplayBuffer"),
+            (ARS, {}, TypeError, "ARS has no discount: train it without Durations"),
+        )
     ),
 ]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from jackbox_env import Drive
 from jackbox_env.exact.flight import DEGREE
-from jackbox_env.simulators import functions
-from jackbox_env.simulators.functions import function_pieces
+from jackbox_env.simulators import drives
+from jackbox_env.simulators.drives import function_pieces
 
 Array = NDArray[np.float64]
 Function = Callable[[float], float]
@@ -143,7 +143,7 @@ def test_without_points_at_the_ends_jumps_hide_there(monkeypatch: pytest.MonkeyP
 
     assert integrals(pieces(late))[0] == pytest.approx(0.002 * DT, rel=1e-9)
     inner = [0.5 - 0.5 * math.cos((k + 0.5) * math.pi / 13.0) for k in range(13)]
-    monkeypatch.setattr(functions, "_SHARES", inner)
+    monkeypatch.setattr(drives, "_SHARES", inner)
     assert integrals(pieces(late))[0] == 0.0
 
 

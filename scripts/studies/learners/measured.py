@@ -85,7 +85,7 @@ def planned(model: str, episodes: int) -> dict[str, Any]:
 
 
 def by_environment(env: JackInBoxEnv, scene: Scene, states: Array, plans: Array) -> tuple[Array, Array]:
-    """As :meth:`jackbox_env.planning.icem.Search.evaluate`, by an environment of that scene."""
+    """As :meth:`jackbox_env.planning.icem.PlanSearch.evaluate`, by an environment of that scene."""
     env.reset(seed=0)
     returns, ends = np.zeros(plans.shape[:2]), np.zeros((*plans.shape[:2], 12))
     for row, number in np.ndindex(*returns.shape):
