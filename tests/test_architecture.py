@@ -26,6 +26,7 @@ ORDER = """
     mechanics
     jit
     exact
+    gpu
     simulators
     render
     planning

@@ -37,14 +37,24 @@ def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any
     Raises:
         TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
-    from jackbox_env.jit.compiler import UsersFunctions, compiled
+    from jackbox_env.jit.compiler import compiled
 
-    substitutes = _SUBSTITUTES[type(owner)]
     if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
-        return compiled(function, **substitutes(owner, None))
+        return compiled(function, **_SUBSTITUTES[type(owner)](owner, None))
+    return users_functions(owner).entry(function)
+
+
+def users_functions(owner: Task | Observation | Action) -> UsersFunctions:
+    """The functions of a user's task, observation or action, read at its first use.
+
+    Raises:
+        TypeError: they cannot be compiled, or return a wrong type.
+    """
+    from jackbox_env.jit.compiler import UsersFunctions
+
     if owner not in _compiled:
-        _compiled.setdefault(owner, UsersFunctions(partial(substitutes, owner)))
-    return _compiled[owner].entry(function)
+        _compiled.setdefault(owner, UsersFunctions(partial(_SUBSTITUTES[type(owner)], owner)))
+    return _compiled[owner]
 
 
 def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
