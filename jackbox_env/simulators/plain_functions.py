@@ -82,7 +82,7 @@ new_step: Callable[..., ControlStep] = tuple.__new__  # twice as fast as Control
 
 
 class PlainFunctions:
-    """Their functions in a scene, in plain Python."""
+    """An agent's functions in a scene, in plain Python."""
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
         self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()

@@ -78,7 +78,7 @@ def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
 
 
 def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an observation; a built-in one has a compiled function of its own."""
+    """The substitutes of an observation; a built-in one has a compiled function of its own."""
     from jackbox_env.exact.score import observe_landing, observe_values
 
     if users is None:
@@ -91,7 +91,7 @@ def _of_observation(observation: Observation, users: UsersFunctions | None) -> d
 
 
 def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an action."""
+    """The substitutes of an action."""
     from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
     read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)
