@@ -77,7 +77,6 @@ class Rollout(NamedTuple, Generic[Rewards, Lengths]):
         impulse: the sum of their impulses in each step [N s], shape (N, H).
         rewards: of each step, shape (N, H); 0 after the end of the task's episode.
         lengths: steps of the episode, at most H, shape (N,), int64; returned with the rewards.
-        left_to_cpu: rows that ``device="cuda"`` has left to the CPU, as feet came to rest for example.
     """
 
     trajectories: Array
@@ -86,7 +85,16 @@ class Rollout(NamedTuple, Generic[Rewards, Lengths]):
     impulse: Array | None
     rewards: Rewards
     lengths: Lengths
-    left_to_cpu: int = 0
+
+
+class CudaRollout(Rollout[Rewards, Lengths]):
+    """A rollout of ``device="cuda"``.
+
+    Attributes:
+        left_to_cpu: rows that the GPU has left to the CPU, as feet came to rest for example.
+    """
+
+    left_to_cpu = 0
 
 
 @overload
@@ -243,7 +251,10 @@ def run_rollouts(
             alone = options._replace(device=None, tensors=(), numbers=rows)
             return run_rollouts(own, starts[rows], torques[rows], dt, time, alone)
 
-        return Rollout(*card.played(scenes, starts, torques, dt, options, left_rows))
+        *fields, left = card.played(scenes, starts, torques, dt, options, left_rows)
+        made: CudaRollout[Any, Any] = CudaRollout(*fields)
+        made.left_to_cpu = left
+        return made
     ranges = count if options.num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(options.num_threads, ranges))
     # Of all numbers of threads, so that they name the same row in errors.
