@@ -48,7 +48,7 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert out.count("ok      ") == 6
     assert "derivatives: ready after" in out
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
-    assert extras == ["notebooks:", "scale:", "train:", "video:"]
+    assert extras == ["gpu:", "notebooks:", "scale:", "train:", "video:"]
     assert "over 3 impacts energy and work agree" in out
 
 
