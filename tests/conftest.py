@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
+os.environ.setdefault("PYTHONUNBUFFERED", "1")  # output and errors of processes come in the order of their lines
 
 import jackbox_env
 from tests.browser import browser  # noqa: F401  # a fixture
