@@ -50,10 +50,11 @@ class Durations(BaseCallback):
             if buffer.size():
                 raise ValueError(f"Durations must be used from the first step on, got a model of {buffer.size()} steps")
             buffer.__class__ = _ReplayByDuration
-            buffer.gamma, buffer.durations = model.gamma, np.ones_like(buffer.rewards)
+            buffer.durations = np.ones_like(buffer.rewards)
         elif not isinstance(buffer, _RolloutByDuration | _ReplayByDuration):
             needed = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
             raise TypeError(f"Durations needs {needed}, got {kind.__name__}")
+        buffer.gamma = model.gamma  # a loaded buffer has that of another model
         self.training_env.unwrapped.discounted = True  # type: ignore[attr-defined]
 
     def _on_step(self) -> bool:
@@ -74,7 +75,7 @@ class Durations(BaseCallback):
             if "lstm_states" in self.locals:  # of RecurrentPPO
                 memory += [
                     tuple(part[:, cut].contiguous() for part in self.locals["lstm_states"].vf),
-                    torch.zeros(len(cut)),
+                    torch.zeros(len(cut), device=model.device),
                 ]
             with torch.no_grad():
                 values = model.policy.predict_values(last, *memory).cpu().numpy().ravel()
