@@ -66,7 +66,7 @@ class Durations(BaseCallback):
         infos = self.locals["infos"]
         if not isinstance(buffer := getattr(model, "rollout_buffer", None), _RolloutByDuration):
             return True
-        durations = np.array([info["duration"] for info in infos])
+        durations = _durations_of(infos)
         buffer.durations[buffer.pos] = durations
         cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
         if cut:
@@ -83,6 +83,14 @@ class Durations(BaseCallback):
             for number in cut:
                 infos[number]["TimeLimit.truncated"] = False  # it is accounted for
         return True
+
+
+def _durations_of(infos: list[dict[str, Any]]) -> Any:
+    """The durations of a decision of each environment [s], shape (environments,)."""
+    try:
+        return np.array([info["duration"] for info in infos])
+    except KeyError as error:
+        raise ValueError("Durations needs environments whose infos have 'duration', got infos without") from error
 
 
 class _RolloutByDuration(RolloutBuffer):
@@ -127,7 +135,7 @@ class _ReplayByDuration(ReplayBuffer):
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:
         """Add a transition of each environment."""
-        self.durations[self.pos] = [info["duration"] for info in infos]
+        self.durations[self.pos] = _durations_of(infos)
         super().add(obs, next_obs, action, reward, done, infos)
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
