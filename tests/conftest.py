@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
+os.environ.setdefault("PYTHONUNBUFFERED", "1")  # output and errors of processes come in the order of their lines
 
 import jackbox_env
 from tests.browser import browser  # noqa: F401  # a fixture
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
 OPTIONAL = {"flint", "imageio", "jsonschema", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
-OPTIONAL |= {"torch", "tqdm", "tyro"}
+OPTIONAL |= {"PIL", "torch", "tqdm", "tyro"}
 INSTALL = "pip install -e '.[all,dev]'"
 COMPILING = "jackbox/compiling"  # key in pytest's cache of the processor time [s] of compiling
 

@@ -26,6 +26,7 @@ ORDER = """
     mechanics
     jit
     exact
+    gpu
     simulators
     render
     planning
@@ -196,6 +197,11 @@ def _statements(path: Path) -> int:
     return sum(not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)) for node in nodes)
 
 
+def _purpose(sources: dict[str, Path], room: str) -> str:
+    """The first line of a room's docstring."""
+    return str(ast.get_docstring(ast.parse(sources[room].read_text()))).splitlines()[0]
+
+
 def _layout() -> list[str]:
     """Rooms of the package with their statements, from the ground up, and the numbers of rooms, floors and arrows."""
     sources = {name: path for name, path in _sources().items() if name.startswith("jackbox_env.")}
@@ -207,11 +213,12 @@ def _layout() -> list[str]:
     for room in TopologicalSorter(arrows).static_order():
         floor[room] = 1 + max([floor[below] for below in arrows[room]], default=0)
     rows = [
-        f"{statements[room]:6,}  {room.split('.')[1]}, on floor {floor[room]}"
+        f"{floor[room]} {room.split('.')[1]:<11}{statements[room]:6,}  {_purpose(sources, room)}"
         for room in sorted(floor, key=lambda room: floor[room])
     ]
     count = sum(map(len, arrows.values()))
     return [
+        "floor, room, statements",
         *rows,
         f"{statements.total():6,} statements, {len(floor)} rooms, {max(floor.values())} floors, {count} arrows",
     ]

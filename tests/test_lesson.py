@@ -109,3 +109,9 @@ def test_a_light_box() -> None:
     assert f"jack's {fell:.2f} m/s" in LESSON
     same, _ = played(LIGHT._replace(scene=LIGHT.scene.changed(box_mass=4.0, box_inertia=None)), 1.1)
     np.testing.assert_allclose([-same[-1, 7], same[-1, 10]], [fell, -9.81 * (1.1 - impacts[0].time)])
+
+
+def test_the_sheet_has_each_question_without_its_answer() -> None:
+    sheet = (DOCS / "sheet.md").read_text()
+    asked = [f':start-after: "<!-- question {n} -->"\n:end-before: "<!-- answer {n} -->"' for n in range(1, 7)]
+    assert re.findall(":start-after: .*\n.*", sheet) == asked

@@ -46,9 +46,9 @@ class Present(NamedTuple):
 
 
 class ExactBatch:
-    """As :class:`jackbox_env.envs.one_by_one.SingleBatch`; 416 bytes per environment besides the arrays returned.
+    """N environments of the exact model, stepped by one compiled loop, with the interface of :class:`.SingleBatch`.
 
-    With a scene for each environment it is 160 bytes more.
+    Each takes 416 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
     ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
     and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
@@ -445,7 +445,7 @@ class ExactBatch:
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:
-        """Nothing: environments that render are stepped one by one, see ``single.py``."""
+        """Nothing: environments that render are stepped one by one, see ``one_by_one.py``."""
         return ()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The exact contact model: the code that numba compiles.
+"""The exact contact model, with rewards, observations and restarts in its loop: the code that numba compiles.
 
 ``run.py`` steps rows of jacks, each by ``step.py``: detect -> evolve -> resolve -> record.
 

@@ -23,7 +23,7 @@ from jackbox_env.fits.outcome import outcome_of
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, Search
 from jackbox_env.fits.shooting import Parameters, Shooting
-from jackbox_env.fits.windows import cut_all, go_on, leave_out_bad_rows, resume
+from jackbox_env.fits.windows import cut_all, go_on, resume
 from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
@@ -81,17 +81,11 @@ def fit(
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        arguments = list(several), parameters, known, bar
-        search = Search(*arguments)
-        try:
-            estimate = _fitted(search)
-        except ValueError:  # no part agrees
-            if not search.between_flights:
-                raise
-            return _fitted(Search(*arguments, before=search))
-        if search.between_flights and search.work > 0.0 and not estimate.converged:
+        search = Search(list(several), parameters, known, bar)
+        estimate = _fitted(search)
+        if any(search.flights) and search.work > 0.0 and not estimate.converged:
             with suppress(ValueError):
-                other = _fitted(Search(*arguments, before=search))
+                other = _fitted(Search(list(several), parameters, known, bar, before=search))
                 return other if other.converged else estimate
         return estimate
 
@@ -99,17 +93,20 @@ def fit(
 def _fitted(search: Search) -> Fit:
     """Cut the recordings into windows, then fit all windows together."""
     cut_all(search)
-    _refuse_nothing(search)
+    if not search.windows:
+        noise = ", or the noise, which may be larger than given" * bool(np.isfinite(search.known_noise).any())
+        raise ValueError(
+            "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
+            f"{noise}, or whether the jack moves"
+        )
     search.progress.reset(total=len(LINK_SLACKS) + 2)
     search.progress.set_description("fitting")
     search.settle(LINK_SLACKS[0])
-    leave_out_bad_rows(search)
     search.without_misfits(LINK_SLACKS[0], len(search.windows))
     resume(search)
     go_on(search)
     search.settle(LINK_SLACKS[0])
     search.without_misfits(LINK_SLACKS[0], len(search.windows))
-    _refuse_nothing(search)
     count = len(search.windows)
     search.fewest = max(1, count - max(_MAY_DROP, math.floor(_MOST_DROPPED * count)))
     for slack in (*LINK_SLACKS, LINK_SLACKS[-1]):
@@ -121,13 +118,3 @@ def _fitted(search: Search) -> Fit:
         search.estimate_noise(chain)
         search.progress.update()
     return outcome_of(search, chain, ended)
-
-
-def _refuse_nothing(search: Search) -> None:
-    """ValueError if there are no windows."""
-    if not search.windows:
-        noise = ", or the noise, which may be larger than given" * bool(np.isfinite(search.known_noise).any())
-        raise ValueError(
-            "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
-            f"{noise}, or whether the jack moves"
-        )

@@ -24,13 +24,15 @@ from jackbox_env.fits.residuals import (
     unidentified_sentence,
 )
 from jackbox_env.fits.result import Fit
-from jackbox_env.fits.search import FAR, LINK_SLACKS, MOST_BAD, MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, unlink
 from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
+_FAR = 6.0  # standard deviations of a row that is bad
+_MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 
 
@@ -91,7 +93,7 @@ def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_o
         wrong = f"{name}, or something else that is not fitted, is wrong"
         yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
     for bad, one in zip(search.bad_rows, search.recordings, strict=True):
-        if len(bad) > MOST_BAD * len(one.states):
+        if len(bad) > _MOST_BAD * len(one.states):
             yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
     for number, (one, seconds) in enumerate(zip(search.recordings, skipped, strict=True)):
         covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
@@ -138,7 +140,7 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
             text = "x_jack and y_jack are 0, as of a lost frame"
             if row in rows:
                 off, away = abs(rows[row]), abs(recorded[row] - states[row])[X_JACK:RATES] / noise
-                if np.isfinite(away).any() and not (away > FAR).any():
+                if np.isfinite(away).any() and not (away > _FAR).any():
                     continue
                 column = int(np.nanargmax(off / noise))
                 text = f"{STATE_NAMES[X_JACK + column]} is {off[column]:.2g} {STATE_UNITS[X_JACK + column]} off"

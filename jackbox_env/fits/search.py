@@ -22,7 +22,7 @@ from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
-LINK_SLACKS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4)  # from loose to tight, over the smallest noise
+LINK_SLACKS = (1.0, 0.01, 1e-4)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
 _PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
 _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
@@ -33,8 +33,6 @@ _MOST_IN_HOPS = 3  # impacts between flights that do not follow closely; of more
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
 # They take about as long as the recordings; most fits that converge need a third.
 _MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1.5e4, 200, 4.0, 3
-FAR = 6.0  # standard deviations of a row that is bad
-MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
 
 
@@ -74,7 +72,6 @@ class Search:
         self.resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
         self.left_out: list[Window] = []  # that the model does not explain
         self.fewest = 1  # windows that stay
-        self.between_flights = False  # whether windows are cut between flights
         self.numbers = parameters.of(parameters.start)
         self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
 

@@ -86,11 +86,8 @@ def read_table(path: Path, array: str) -> Table:
             raise ValueError(f"{path}: there must be an array {array}, got {', '.join(arrays)}")
         return table_of({"time": arrays[array]} if array == "impact_time" else arrays, f"{path}, ")
     headers, lines, rows, delimiter, at_line, notes = read_rows(path)
-    widths, numbers = {len(row) for row in rows}, [row[0].strip() for row in rows]
-    if widths == {len(headers) + 1} and delimiter != "," and numbers == [str(n + 1) for n in range(len(rows))]:
-        headers = ["", *headers]  # R numbers the rows
     # LabVIEW's rows lack the last cell, of a comment.
-    width = min(len(headers), max(widths)) if widths and delimiter == "\t" else len(headers)
+    width = min(len(headers), max(map(len, rows), default=len(headers)) if delimiter == "\t" else len(headers))
     if without := ", ".join(header for header in headers[width:] if header.strip()):
         notes = (*notes, f"left out, because no row has a cell for them: {without}")
     for line, row in zip(lines, rows, strict=True):

@@ -1,7 +1,7 @@
 """Cut the recordings of a search into windows: between the middles of flights, or one after the other.
 
 Windows that the model does not explain are left out, resumed when it does, and followed by others to where the jack
-rests. Rows in which the jack is far off the fitted motion are left out.
+rests.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
 from jackbox_env.fits.observed import state_at
-from jackbox_env.fits.search import FAR, MOST_BAD, MOST_SKIPPED, Search
+from jackbox_env.fits.search import MOST_SKIPPED, Search
 from jackbox_env.fits.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
-from jackbox_env.model.states import RATES, THETA_JACK, X_JACK, Array
+from jackbox_env.model.states import THETA_JACK, Array
 
 _SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
 _LEAST = 4  # steps of such a share
@@ -25,16 +25,6 @@ _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
 _SURE = 0.25  # relative standard deviation of a guess that replaces the start, at most
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
-
-
-def leave_out_bad_rows(search: Search) -> None:
-    """Leave out rows in which the jack is far off the fitted motion, if they are few."""
-    for number, states in enumerate(search.motions()[0]):
-        off = (search.recordings[number].states - states)[:, X_JACK:RATES]
-        far = np.flatnonzero((abs(off) > FAR * search.noise[X_JACK:RATES]).any(axis=1)).tolist()
-        if len(far) + len(search.bad_rows[number]) <= MOST_BAD * len(states):
-            search.bad_rows[number].update((row, off[row]) for row in far)
-            search.recordings[number] = search.recordings[number].without(far)
 
 
 def resume(search: Search) -> None:
@@ -109,7 +99,6 @@ def cut_all(search: Search) -> None:
         if len({window.recording for window in search.windows}) == len(known):
             break
     search.numbers, search.first_width, search.windows, search.left_out = best
-    search.between_flights = furthest > 0 or not np.array_equal(search.numbers, search.parameters.of(scene))
     _cut_others(search)
 
 

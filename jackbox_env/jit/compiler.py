@@ -58,17 +58,15 @@ def compiled_with(function: F, **substitutes: Any) -> F:
 
 def intermediate_code(
     function: Callable[..., Any], arguments: tuple[Any, ...], **substitutes: Callable[..., Any]
-) -> tuple[Any, str]:
-    """Numba's library of a function with all that it calls, not yet machine code, and the function's name in it.
+) -> tuple[str, str]:
+    """LLVM's code of a function with all that it calls, before LLVM's passes, and the function's name in it.
 
     Args:
         function: a plain function.
         arguments: numba's types of them.
         **substitutes: functions that replace those of these names.
     """
-    dispatcher = _Compilation(tuple(substitutes.items())).compiled(function, inner=True)
-    result = _native().compiled_at(dispatcher, arguments)
-    return result.library, result.fndesc.llvm_func_name
+    return _Compilation(tuple(substitutes.items())).intermediate_code(function, arguments)
 
 
 @cache
@@ -133,7 +131,7 @@ class _Compilation:
 
     def compiled(self, function: Any, inner: bool = False) -> Any:
         """The compiled function; ``inner`` if only compiled code calls it."""
-        foreign, names = _top_level(function.__globals__) != _top_level(globals()), _used_names(function.__code__)
+        foreign, names = _is_foreign(function), _used_names(function.__code__)
         if (
             (self._substitutes or self._users)
             and not foreign
@@ -150,6 +148,12 @@ class _Compilation:
         elif self._twins[function, inner] is function and not is_disabled():
             raise TypeError(f"{function.__name__} calls itself")
         return self._twins[function, inner]
+
+    def intermediate_code(self, function: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
+        """As the function of this name."""
+        with _LOCK, uninterrupted():
+            result = _native().compiled_at(self.compiled(function, inner=True), arguments)
+            return _native().unoptimized(result.library), result.fndesc.llvm_func_name
 
     def _twin(self, function: Any, inner: bool, foreign: bool, names: set[str]) -> Any:
         """The function compiled, which uses these ``names`` and is ``foreign`` if it is not of this package."""
@@ -207,6 +211,12 @@ class UsersFunctions(_Compilation):
             with _LOCK, uninterrupted():
                 self.entries[function] = self.compiled(function)
         return cast(F, self.entries[function])
+
+    def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
+        """The same with further substitutes of functions of this package; the user's functions are not read again."""
+        other = UsersFunctions(lambda _: self._substitutes | substitutes)
+        other._twins = {key: twin for key, twin in self._twins.items() if _is_foreign(key[0])}
+        return other
 
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
         """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
@@ -267,7 +277,7 @@ def _reachable_names(function: FunctionType) -> set[str]:
     """The names that a function of this package uses, itself or in functions of this package that it calls."""
     names = _used_names(function.__code__)
     used = [one for one in map(function.__globals__.get, names) if isinstance(one, FunctionType)]
-    return names.union(*(_reachable_names(one) for one in used if _top_level(one.__globals__) == _top_level(globals())))
+    return names.union(*(_reachable_names(one) for one in used if not _is_foreign(one)))
 
 
 def _full_name(function: Callable[..., Any]) -> str:
@@ -277,6 +287,11 @@ def _full_name(function: Callable[..., Any]) -> str:
 def _top_level(named: Mapping[str, Any]) -> str:
     """The top-level package of the globals of a function or module."""
     return str(named.get("__name__")).split(".")[0]
+
+
+def _is_foreign(function: FunctionType) -> bool:
+    """Whether a function is not of this package."""
+    return _top_level(function.__globals__) != _top_level(globals())
 
 
 def called_at(signature: Callable[[Any], Any]) -> Callable[[Any], Callable[..., int]]:

@@ -16,7 +16,7 @@ _MOST_FOLDERS = 8  # of compiled code, one for each version of the source
 
 
 # Where in this package stored code comes from: no file there imports one from elsewhere.
-HASHED = "tools/", "model/", "jit/", "exact/", "render/raster.py"
+HASHED = "tools/", "model/", "jit/", "exact/", "gpu/", "render/raster.py"
 
 
 @cache

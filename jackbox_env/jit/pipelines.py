@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numba
 from numba import njit, typeof, types
 from numba.core import cgutils
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic, overload
 
 from jackbox_env.tools.signals import uninterrupted
@@ -41,6 +42,7 @@ NEEDED = (
 FASTER = (
     "llvmlite.binding.ffi:ObjectRef._dispose", "llvmlite.binding.newpassmanagers:ModulePassManager",
     "llvmlite.binding.newpassmanagers:FunctionPassManager",
+    "numba.core.codegen:CodeLibrary._ensure_finalized", "numba.core.codegen:CPUCodeLibrary.finalize _final_module",
     "numba.core.caching:NullCache.load_overload", "numba.core.caching:NullCache.save_overload",
     "numba.core.codegen:JITCPUCodegen.create_library", "numba.core.codegen:JITCPUCodegen.magic_tuple",
     "numba.core.codegen:JITCPUCodegen.set_env", "numba.core.codegen:JITCodeLibrary._finalize_dynamic_globals",
@@ -228,6 +230,13 @@ def dumped(result: Any) -> bytes | None:
 def loaded(code: bytes, context: Any) -> Any:
     """The result whose machine code was :func:`dumped`."""
     return CompileResult._rebuild(context, *pickle.loads(code))  # type: ignore[no-untyped-call]
+
+
+def unoptimized(library: Any) -> str:
+    """LLVM's code of a library and all that it calls, before LLVM's passes."""
+    with global_compiler_lock:
+        library._ensure_finalized()
+    return str(library._final_module)
 
 
 def target_of(context: Any) -> tuple[str, str, str]:

@@ -40,13 +40,13 @@ class CompiledFunctions:
         self._calls = calls or _calls_of(nouns)
         self._observe, self._share, pack = self._calls
         self._numbers = np.array(scene.numbers)
-        # Written by each step.
+        # Written by each step, at the addresses below.
         self._terms, verdict = np.empty(len(nouns.task.terms)), np.zeros(1, np.int64)
         self._verdict = verdict.data
         self._observation = np.empty(len(nouns.observation.names), np.float32)
         wanted = self._observation[:0], self._observation
         packed = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
-        self._scorings, self._kept = [address for address, *_ in packed], packed
+        self._scorings, self._kept = [address for address, *_ in packed], packed  # the memory at the addresses
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
@@ -24,9 +24,6 @@ from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, chec
 from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
-
-if TYPE_CHECKING:
-    pass
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
 
@@ -85,7 +82,7 @@ new_step: Callable[..., ControlStep] = tuple.__new__  # twice as fast as Control
 
 
 class PlainFunctions:
-    """Their functions in a scene, in plain Python."""
+    """An agent's functions in a scene, in plain Python."""
 
     def __init__(self, scene: Scene, nouns: Nouns) -> None:
         self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()

@@ -37,14 +37,24 @@ def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any
     Raises:
         TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
-    from jackbox_env.jit.compiler import UsersFunctions, compiled
+    from jackbox_env.jit.compiler import compiled
 
-    substitutes = _SUBSTITUTES[type(owner)]
     if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
-        return compiled(function, **substitutes(owner, None))
+        return compiled(function, **_SUBSTITUTES[type(owner)](owner, None))
+    return users_functions(owner).entry(function)
+
+
+def users_functions(owner: Task | Observation | Action) -> UsersFunctions:
+    """The functions of a user's task, observation or action, read at its first use.
+
+    Raises:
+        TypeError: they cannot be compiled, or return a wrong type.
+    """
+    from jackbox_env.jit.compiler import UsersFunctions
+
     if owner not in _compiled:
-        _compiled.setdefault(owner, UsersFunctions(partial(substitutes, owner)))
-    return _compiled[owner].entry(function)
+        _compiled.setdefault(owner, UsersFunctions(partial(_SUBSTITUTES[type(owner)], owner)))
+    return _compiled[owner]
 
 
 def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
@@ -68,11 +78,11 @@ def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
 
 
 def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an observation."""
+    """The substitutes of an observation; a built-in one has a compiled function of its own."""
     from jackbox_env.exact.score import observe_landing, observe_values
 
     if users is None:
-        return {} if observation is STATE else {"observe": observe_landing}
+        return {STATE: {}, OBSERVATIONS["landing"]: {"observe": observe_landing}}[observation]
     count = len(observation.names)
     what = f"a tuple of {count} numbers, one for each name"
     _check_returned(users, observation, observation.values, (0.0,), what, (float,) * count)
@@ -81,7 +91,7 @@ def _of_observation(observation: Observation, users: UsersFunctions | None) -> d
 
 
 def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an action."""
+    """The substitutes of an action."""
     from jackbox_env.exact.score import choice_in, pair_in, tuple_in
 
     read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
 import torch
 
-from agents.training import vine
-from agents.training.fitting import REPEAT, SCENE, starts
+from agents.policies.network import SHIPPED
+from agents.policies.value import read_value
+from agents.training import distil, vine
+from agents.training.fitting import REPEAT, SCENE, network, starts
 from jackbox_env import rollout
 from jackbox_env.model.tasks import TASKS
+
+
+def test_fitting_comes_closer() -> None:
+    value, states = read_value(SHIPPED / "juggle-value"), starts(600, np.random.default_rng(0))
+    net, batches = network(value.layers), deque([(states, value.of(states) + 20.0)])
+    errors = [distil.fit(net, value, batches, 1e-3) for _ in range(16)]
+    assert errors[-1] < 0.5 * errors[0]
+
 
 # -- spin and rattle ---------------------------------------------------------------------------------------------------
 

@@ -48,7 +48,7 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert out.count("ok      ") == 6
     assert "derivatives: ready after" in out
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
-    assert extras == ["notebooks:", "scale:", "train:", "video:"]
+    assert extras == ["gpu:", "notebooks:", "scale:", "train:", "video:"]
     assert "over 3 impacts energy and work agree" in out
 
 
@@ -103,6 +103,7 @@ def test_a_command_that_is_terminated_leaves_no_partial_file(tmp_path: Path) -> 
             partial.write_bytes(b"GIF89a")
             signal.raise_signal(signal.SIGTERM)
 
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray leaves a handler of its own in a process
     with pytest.raises(SystemExit, match="143"):
         main()
     assert list(tmp_path.iterdir()) == []

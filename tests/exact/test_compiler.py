@@ -19,6 +19,8 @@ from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_s
 from jackbox_env.exact.pcg64 import fresh, packed, seeded, uniform
 from jackbox_env.jit import compiler
 from jackbox_env.jit.compiler import compiled
+from jackbox_env.model.landing import QUARTER
+from jackbox_env.model.scene import remainder
 
 
 def test_packed_arguments_have_room() -> None:
@@ -60,6 +62,13 @@ ANGLES = {
         *(RNG.integers(10**4, 10**12, 300) * _TURNS), np.nextafter(FARTHEST, 0.0), np.nextafter(LARGEST, 0.0),
     ],
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(("divisor", "largest"), [(_TURNS, 2.0**53), (QUARTER, 2.0**53), (3.0, 3.0 * 2.0**53)])
+def test_a_remainder_has_the_bits_of_the_c_librarys(divisor: float, largest: float) -> None:
+    multiples = np.floor(2.0 ** RNG.uniform(0.0, 45.0, 2000)) * divisor
+    for number in (*2.0 ** RNG.uniform(-3.0, math.log2(largest), 4000), *multiples, *np.nextafter(multiples, 0.0), 0.0):
+        assert compiled(remainder)(number, divisor) == math.fmod(number, divisor) == remainder(number, divisor)
 
 
 @pytest.mark.parametrize(("kind", "ulps"), [("to the last place", 1.0), ("after many turns", 1.2)])

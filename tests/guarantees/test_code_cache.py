@@ -211,7 +211,7 @@ def test_a_change_in_what_compiled_code_comes_from_gives_new_code_and_none_elsew
         path.write_text(source)
     assert {"jackbox_env.exact.run", "jackbox_env.model.tasks", "jackbox_env.render.raster"} < changing
     assert set[str]().union(*map(_graph(_sources()).__getitem__, changing)) <= changing  # constants come from there too
-    assert {module.split(".")[1] for module in changing} == {"tools", "model", "jit", "exact", "render"}
+    assert {module.split(".")[1] for module in changing} == {"tools", "model", "jit", "exact", "gpu", "render"}
     assert "jackbox_env.render.renderer" not in changing
 
 

@@ -75,6 +75,7 @@ CASES = [
     Case("points_and_commas.csv", refused="must be in all decimal numbers or in none, and in no thousands, got '-1,25"),
     Case("trailing.csv", TORQUES, columns="time=time"),
     Case("trailing_in_rows.csv"),
+    Case("trailing_tabs.txt", states={**X, "y_jack": [1e-3, 2e-3, 3e-3]}, dt=1e-3),
     Case("cut.csv", refused="row 4: must have 2 cells like row 1, with commas between and points in numbers, got 1"),
     Case("cut_tabs.txt", refused="row 4: must have 2 cells like row 1, with tabs between and points in numbers, got 1"),
     # Rows before the numbers.
@@ -98,7 +99,7 @@ CASES = [
     Case(
         "trackmate.csv", columns="time=T,x_jack=X", notes=(before("row 1, row 2"), left_out("Label, Quality [quality]"))
     ),
-    Case("r_write_table.txt"),
+    Case("r_write_table.txt", refused="row 2: must have 2 cells like row 1, with spaces between and points in numbers"),
     Case("markdown.md"),
     Case("second_run_longer.csv", refused="row 7, column time: must be a number or empty, got 'time'"),
     Case("two_runs.csv", refused="row 5, column time: must be a number or empty, got 'time'"),

@@ -80,3 +80,12 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert counts["certified"] == 0
     assert counts["missed"] > 10
     assert counts["escaped"] > 10
+
+
+def test_a_recipe_that_fails_has_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recipes, "HERE", tmp_path)
+    (tmp_path / "with_one.py").write_text("print('after 1,000 actions: return -3.5 +- 0.2')")
+    assert [recipes.trained("one", [])[name] for name in ("actions", "mean", "half_width_95")] == [1000, -3.5, 0.2]
+    (tmp_path / "with_one.py").write_text("print('return 24')\nraise SystemExit('no memory')")
+    with pytest.raises(RuntimeError, match="the recipe one failed: no memory"):
+        recipes.trained("one", [])

@@ -134,3 +134,9 @@ def test_parts_that_are_unknown_or_missing_are_refused(
         run(*words)
     assert sentence in capsys.readouterr().err
     assert CALLS == []
+
+
+def test_a_machine_is_named_once_with_all_commits_of_its_trials() -> None:
+    commits = ["one, commit b", "two, commit c", "one, commit a", "one, commit b"]
+    rows = [{"part": "squared", "result": number, "made": made} for number, made in enumerate(commits)]
+    assert study.by_part(SMALL, rows)["made"] == {"squared": "one, commit a, b; two, commit c."}
