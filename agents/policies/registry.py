@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.policies.models import load, model_in_env, picture_policy
+from agents.policies.models import model_in_env, picture_policy
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
 from agents.policies.planner import FAST_SEARCHES, planner_for
@@ -41,7 +41,6 @@ def find_policy(
     seed: int = 0,
     trust: bool = False,
     chosen: dict[str, Any] | None = None,
-    vecnormalize: Path | None = None,
 ) -> PolicyWithEnv:
     """One of ``POLICIES`` or a shipped policy by its name, or a trained one by its run folder or file.
 
@@ -53,7 +52,6 @@ def find_policy(
             of a function name; without it they must be loaded already (:func:`jackbox_env.tools.user_code.load`).
         chosen: keywords of the environment, over those of ``settings`` and of env.json. What a policy observes and does
             (:data:`agents.settings.PER_POLICY`) is chosen for such models and functions alone.
-        vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
     Raises:
         FileNotFoundError: it is none of these.
@@ -82,18 +80,7 @@ def find_policy(
     file = model_in(Path(name))
     if run_folder(file):
         return policy_of_run(file, trust)
-    from jackbox_env.sb3.saved_models import ENV, stored_beside
-
-    stored = stored_beside(file)
-    if not (trust or (stored and "arguments" in stored)):
-        without = (
-            f"; and no {ENV} beside it describes its environment: use --env, and --vecnormalize FILE.pkl if it was "
-            "trained under VecNormalize, or save it by jackbox_env.sb3.save_model"
-        )
-        raise ValueError(
-            f"{file} can run code, as it is unpickled: if you trust its author, use --trust{'' if stored else without}"
-        )
-    return model_in_env(file, load(file, stored, trust), stored, settings, chosen, vecnormalize)
+    return model_in_env(file, trust, {**settings.changed, **chosen})
 
 
 def policy_of_run(path: Path, trust: bool) -> PolicyWithEnv:

@@ -125,20 +125,18 @@ def load_model(
             lacks a keyword that env.json cannot store.
     """
     file = model_in(Path(path))
-    stored = stored_beside(file)
-    if stored is None:
-        raise FileNotFoundError(
-            f"{file} needs an {ENV} beside it that describes its environment: load it with its environments, as "
-            f"PPO.load(path, env=envs), and save it by save_model"
-        )
+    stored = entry_of(file)
     if not (trust or "arguments" in stored):
-        raise ValueError(f"{file} can run code, as it is unpickled: if you trust its author, use trust=True")
+        raise ValueError(f"{file} can run code, as it is unpickled: if you trust its author, use --trust or trust=True")
     keywords = {**stored["env"], **env_kwargs}
     if missing := {*map(str, stored["missing"])} - keywords.keys():
         name = min(missing)
-        raise ValueError(f"{file} was trained with a {name} that {ENV} cannot store: load it with {name}=...")
-    load_trusted(file.parent, filter(is_object, keywords.values()), trust)
-    with as_value_error(f"{file} cannot be played as {ENV} describes"):
+        raise ValueError(
+            f"{file} was trained with a {name} that {ENV} cannot store: load it with {name}=..., or evaluate it with "
+            f"--env {name}=file.py:name"
+        )
+    load_trusted(file.parent.absolute(), filter(is_object, keywords.values()), trust)
+    with as_value_error(f"{file} cannot be played as {ENV} describes and options change"):
         environments = wrapped(make_sb3_vec_env(num_envs, **with_objects(keywords)), stored["wrappers"])
     with as_value_error(f"{file} is no model of {ENV} beside it"):
         if "arguments" not in stored:
@@ -206,18 +204,24 @@ def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
     return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
 
 
-def stored_beside(file: Path) -> dict[str, Any] | None:
-    """What env.json beside a model has about it; None if that has no entry for it.
+def entry_of(file: Path) -> dict[str, Any]:
+    """What env.json beside a model has about it.
 
     A model that was renamed has the only entry, if no other model is in its folder.
 
     Raises:
+        FileNotFoundError: env.json is missing, or has no entry for it.
         ValueError: env.json is damaged.
     """
     entries = read_stored(file.parent / ENV)
-    if len(entries) == 1 and not (file.parent / next(iter(entries))).exists():
-        return next(iter(entries.values())) if list(file.parent.glob(f"*{file.suffix}")) == [file] else None
-    return entries.get(file.name)
+    if len(entries) == 1 and list(file.parent.glob(f"*{file.suffix}")) == [file]:
+        return next(iter(entries.values()))
+    if file.name not in entries:
+        raise FileNotFoundError(
+            f"{file} needs an {ENV} beside it that describes its environment: load it with its environments, as "
+            "PPO.load(path, env=envs), and save it by jackbox_env.sb3.save_model"
+        )
+    return entries[file.name]
 
 
 def read_stored(path: Path) -> dict[str, dict[str, Any]]:

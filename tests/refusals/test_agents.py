@@ -259,7 +259,7 @@ RUNS = [
         lambda _: load_model(Path("a/model.zip")),
         FileNotFoundError,
         "a/model.zip needs an env.json beside it that describes its environment: load it with its environments, as "
-        "PPO.load(path, env=envs), and save it by save_model",
+        "PPO.load(path, env=envs), and save it by jackbox_env.sb3.save_model",
         files({"a/model.zip": "a", "a/settings.json": json.dumps(asdict(PLAIN))}),
     ),
     Refusal(
