@@ -22,8 +22,10 @@ class Arguments:
     """Train, evaluate and compare."""
 
     train: Annotated[str, tyro.conf.Positional]
-    """file.py:function of (task, seed) that trains, and returns a model or yields it as it learns; with a model may come
-    the keywords observation, action and action_repeat of its environment: ``return model, {"action_repeat": 4}``."""
+    (
+        "file.py:function of (task, seed) that trains, and returns a model or yields it as it learns. Its environment's "
+        "observation, action and action_repeat may come with it: return model, {'action_repeat': 4}."
+    )
     seeds: int = 10
     """Trainings on each task."""
     tasks: tuple[str, ...] = TRAINED
@@ -59,8 +61,8 @@ def main() -> None:
 
     runs = (arguments.runs or stamped("benchmark")).resolve()
     file = arguments.json or runs / "results.json"
-    check_new_file(file)
     runs.mkdir(parents=True, exist_ok=True)
+    check_new_file(file)
     code = hashlib.sha256(Path(arguments.train.rpartition(":")[0]).read_bytes()).hexdigest()
     trials = [
         {"part": "trainings", "train": arguments.train, "code": code, "task": task, "seed": seed,
