@@ -23,8 +23,8 @@ class Arguments:
 
     train: Annotated[str, tyro.conf.Positional]
     (
-        "file.py:function of (task, seed) that trains, and returns a model or yields it as it learns. Its environment's "
-        "observation, action and action_repeat may come with it: return model, {'action_repeat': 4}."
+        "file.py:function of (task, seed) that trains, and returns a model or yields it as it learns. Its "
+        "environment's observation, action and action_repeat may come with it: return model, {'action_repeat': 4}."
     )
     seeds: int = 10
     """Trainings on each task."""

@@ -22,7 +22,7 @@ from jackbox_env.tools.files import replacing
 from scripts.studies import study
 from scripts.studies.benchmark import policies, trainings
 from scripts.studies.benchmark.trainings import ALGORITHMS, DECISIONS, JUDGES, SETTINGS, SHIPPED_PPO
-from scripts.studies.pages import label_ends, table
+from scripts.studies.pages import cell, label_ends, table
 
 DOCS = Path(__file__).parents[3] / "docs"
 FIDELITIES = ("exact", "coarse", "balanced", "fine")
@@ -271,7 +271,7 @@ def _table(record: study.Record, contact: str) -> str:
         wanted = {"policy": name, "contact": contact, "setting": "default"}
         rows = {row["task"]: row for row in record["policies"] if wanted.items() <= row.items()}
         spent = max(row["milliseconds"] for row in rows.values())
-        lines.append((name, *(policies.cell(rows[task]) for task in TRAINED), f"{spent:.2g}"))
+        lines.append((name, *(cell(rows[task]) for task in TRAINED), f"{spent:.2g}"))
     return table(("policy", *TRAINED, "ms"), lines)
 
 
@@ -323,8 +323,8 @@ def draw(record: study.Record, folder: Path) -> None:
                 axes.fill_between(at, low, high, color=colours[name], alpha=0.2, linewidth=0)
                 ends[name] = (at[-1], middle[-1])
             axes.set_xscale("log")
-            for name, style in LINES.items():
-                axes.axhline(earned(record, task, name), color=GREY, linewidth=1.2, linestyle=style)
+            for name, dashes in LINES.items():
+                axes.axhline(earned(record, task, name), color=GREY, linewidth=1.2, linestyle=dashes)
                 ends[f"{name} {earned(record, task, name):.0f}"] = (axes.get_xlim()[1], earned(record, task, name))
             if by == "seconds":
                 label_ends(axes, ends, apart=0.1)

@@ -46,11 +46,6 @@ def policy_row(task: str, contact: str, policy: str, episodes: int, setting: str
     }  # fmt: skip
 
 
-def cell(row: dict[str, Any]) -> str:
-    """A policy's mean return and half of its 95 % interval."""
-    return f"{row['mean']:.1f} ± {np.ptp(row['interval_95']) / 2.0:.1f}"
-
-
 def milliseconds(acting: PolicyWithEnv, settings: EnvSettings) -> float:
     """Processor time [ms] of a policy for 0.1 s of an episode, in one environment."""
     env = gym.make("JackInBox-v0", **{**settings.env_settings, **acting.keywords})

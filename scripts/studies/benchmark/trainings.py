@@ -70,7 +70,7 @@ def playing(trained: Any) -> PolicyWithEnv:
         TypeError, ValueError: it is no model, or has other keywords.
     """
     policy, keywords = trained if isinstance(trained, tuple) else (trained, {})
-    check.known_keys("the keywords of a training", keywords, NOUNS)
+    check.known_keys("train's keywords", keywords, NOUNS)
     if not hasattr(policy, "predict"):
         if not callable(policy):
             raise TypeError(f"train must return a model with predict or a function, got {check.shown(policy)}")
