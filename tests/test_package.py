@@ -51,7 +51,7 @@ def test_nothing_heavy_is_loaded_that_is_not_stepped_or_drawn(contact: str, engi
 WITH_EXAMPLES = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for path in (ROOT / "jackbox_env").rglob("*.py")
-    if "    >>> " in path.read_text()
+    if re.search("^ *>>> ", path.read_text(), re.MULTILINE)
 )
 
 
