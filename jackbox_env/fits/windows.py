@@ -205,18 +205,5 @@ def _cut(search: Search, number: int, state: Array) -> bool:
 
 
 def _fit_last(search: Search) -> bool:
-    """Fit the last window, with those before it; return whether it is explained.
-
-    If the jack's angle was not observed, other angles are tried.
-    """
-    if search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block):
-        return True
-    last, numbers = search.windows[-1], search.numbers
-    for angle in () if search.observed[THETA_JACK] else _TRIAL_ANGLES:
-        turned = replace(last, start=last.start + angle * np.eye(12)[THETA_JACK])
-        if search.fit_block([turned], False):
-            search.windows[-1] = turned
-            if search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block):
-                return True
-            search.windows[-1], search.numbers = last, numbers
-    return False
+    """Fit the last window, with those before it; return whether it is explained."""
+    return search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block)
