@@ -33,6 +33,7 @@ _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer th
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
+# What is wrong with a position that is fewer half widths from the box's centre.
 _GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
 _TORQUE = re.compile(  # in headers of torques; no momentum, and no place "in m"
     r"(?i:torque|(?<![a-z])tau|moment(?!um|a))|(?<![A-Za-z])[kM]?N[ ·*._-]?m{1,2}(?![A-Za-z])"
@@ -208,9 +209,10 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
         reaches = jack - box if near == slice(None) else (jack - jack[seen[:, axis + 3]][:1].sum())[near]
         reach = float(np.nanmax(abs(reaches), initial=0.0)) if np.isfinite(reaches).any() else 0.0
         if reach > _FARTHEST * half * (1.0 if near == slice(None) else 5.0):
+            guess = next((guess for most, guess in _GUESSES if reach < most * half), "pixels?")
             raise ValueError(
                 f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {reach:,.4g} m in "
-                f"a box of half width {half:g} m: {_length_of(reach / half)}"
+                f"a box of half width {half:g} m: {guess}"
             )
     for column, unit in ((2, half), (5, scene.jack_arm)):
         rows = np.flatnonzero(seen[:, column])
@@ -221,11 +223,6 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
             raise ValueError(
                 f"{table.source}column {name}: {name} changes by up to {steps.max():,.4g} rad from row to row: degrees?"
             )
-
-
-def _length_of(half_widths: float) -> str:
-    """A guess at what is wrong with a position that is as many half widths from the box's centre."""
-    return next((guess for most, guess in _GUESSES if half_widths < most), "pixels?")
 
 
 def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:

@@ -334,15 +334,9 @@ def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:
     usable = np.isfinite(values) & (abs(by) > 0.0)
     if usable.sum() < _FEW:
         return 1.0, np.inf
-    ratios, weights = values[usable] / by[usable], abs(by[usable])
-
-    def median(numbers: Array) -> float:
-        order = np.argsort(numbers)
-        sums = np.cumsum(weights[order])
-        return float(numbers[order][np.searchsorted(sums, 0.5 * sums[-1])])
-
-    ratio = median(ratios)
-    if ratio <= 0.0:
-        return 1.0, np.inf
+    ratios = values[usable] / by[usable]
+    order = np.argsort(ratios)
+    sums = np.cumsum(abs(by[usable])[order])
+    ratio = float(ratios[order][np.searchsorted(sums, 0.5 * sums[-1])])
     spread = np.quantile(abs(ratios - ratio), min(1.0, 0.6 + 1.0 / len(ratios)))
-    return ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))
+    return (ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))) if ratio > 0.0 else (1.0, np.inf)
