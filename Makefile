@@ -10,7 +10,7 @@ BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
 # One thread each: two workers on two cores would wait for each other's.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
-WORKERS := -n 2 --dist loadfile
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
 SELECTED := -m "not slow"
 # What calls Gymnasium.
 UNDER_OLD_GYMNASIUM := --deselect tests/guarantees/test_bits.py::test_every_kind_of_environment_does_the_same_whatever_is_called \

@@ -18,7 +18,7 @@ from typing import Any
 from agents.files import first_line
 from agents.runners import ONE_THREAD, Finished, Results, Runner, Trials, Work, attempt, in_turn, on_cores
 from agents.sweep import differing, made_with
-from jackbox_env.jit.compiler import cache_folders
+from jackbox_env.jit.folders import cache_folders
 from jackbox_env.tools import checks as check
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed

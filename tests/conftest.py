@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pictures need no display
+os.environ.setdefault("PYTHONUNBUFFERED", "1")  # output and errors of processes come in the order of their lines
 
 import jackbox_env
 from tests.browser import browser  # noqa: F401  # a fixture
 
 # What the extras and make test install beyond the package's dependencies, pytest and Hypothesis.
 OPTIONAL = {"flint", "imageio", "jsonschema", "matplotlib", "mpmath", "scipy", "stable_baselines3", "sympy"}
-OPTIONAL |= {"torch", "tqdm", "tyro"}
+OPTIONAL |= {"PIL", "torch", "tqdm", "tyro"}
 INSTALL = "pip install -e '.[all,dev]'"
 COMPILING = "jackbox/compiling"  # key in pytest's cache of the processor time [s] of compiling
 
@@ -103,6 +104,12 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
         from scripts.site.build import ensure_page
 
         ensure_page()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that have slow tests, so that no worker ends long before the other."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -58,7 +58,8 @@ def judged() -> str:
     from gymnasium.spaces import Box
 
     from jackbox_env import Action, Observation, Scene, Task, make_simulator
-    from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns
+    from jackbox_env.simulators.agent_functions import CompiledFunctions
+    from jackbox_env.simulators.plain_functions import Nouns
 
     nouns = Nouns(
         Task(

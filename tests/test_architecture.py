@@ -1,12 +1,14 @@
-"""The architecture: imports between packages go one way, and privates stay in their package.
+"""The architecture: imports between packages go one way, and none is of another package's privates.
 
 Imports inside functions count too, and no modules form a circle.
+``python tests/test_architecture.py`` prints rooms, floors, arrows and statements.
 """
 
 from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -24,6 +26,7 @@ ORDER = """
     mechanics
     jit
     exact
+    gpu
     simulators
     render
     planning
@@ -144,48 +147,23 @@ def _package(name: str) -> str:
     return ".".join(name.split(".")[:-1] if name.startswith("scripts") else name.split(".")[:2])
 
 
-def _names_in(tree: ast.AST) -> set[str]:
-    """Names that a module defines, attributes of its objects among them."""
-    stored = (node for node in ast.walk(tree) if isinstance(getattr(node, "ctx", None), ast.Store))
-    names = {getattr(node, "id", getattr(node, "attr", "")) for node in stored}
-    return names | {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-
-
-def _read_names(tree: ast.AST) -> Iterator[str]:
-    """Names that a module imports, or reads of objects other than ``self`` and ``cls``."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom):
-            yield from (alias.name for alias in node.names)
-        if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") not in ("self", "cls"):
-            yield node.attr
-
-
-def _privates_read(sources: dict[str, Path]) -> list[str]:
-    """Underscored names of other packages that modules read, unless their package defines such a name too."""
-    trees, names = {name: _tree(path) for name, path in sources.items()}, dict[str, set[str]]()
-    for name, tree in trees.items():
-        names.setdefault(_package(name), set()).update(_names_in(tree))
+def _privates_imported(sources: dict[str, Path]) -> list[str]:
+    """Underscored names that modules import from other packages."""
     return [
-        f"{name} reads {private}"
-        for name, tree in trees.items()
-        for private in set(_read_names(tree)) - names[_package(name)]
-        if private.startswith("_") and not private.startswith("__")
-        if any(private in defined for defined in names.values())
+        f"{name} imports {alias.name}"
+        for name, path in sources.items()
+        for node in ast.walk(_tree(path))
+        if isinstance(node, ast.ImportFrom) and node.module in sources and _package(node.module) != _package(name)
+        for alias in node.names
+        if alias.name.startswith("_") and not alias.name.startswith("__")
     ]
 
 
-def test_no_package_reads_anothers_privates() -> None:
-    assert _privates_read(_sources()) == []
-
-
-@pytest.mark.parametrize(
-    "line", ["from jackbox_env.envs.single import _read", "env._parts", "import numpy\nnumpy.put._parts"]
-)
-def test_a_private_name_that_is_read_is_seen(tmp_path: Path, line: str) -> None:
-    (tmp_path / "bad.py").write_text(line)
-    (tmp_path / "env.py").write_text("class Env:\n    def __init__(self):\n        self._parts = _read = 1")
-    privates = _privates_read({"jackbox_env.sb3": tmp_path / "bad.py", "jackbox_env.envs.single": tmp_path / "env.py"})
-    assert len(privates) == 1
+def test_no_package_imports_anothers_privates(tmp_path: Path) -> None:
+    assert _privates_imported(_sources()) == []
+    bad = tmp_path / "bad.py"
+    bad.write_text("from jackbox_env.envs.single import _read")
+    assert _privates_imported({**_sources(), "jackbox_env.sb3": bad}) == ["jackbox_env.sb3 imports _read"]
 
 
 @pytest.mark.parametrize(
@@ -211,3 +189,40 @@ def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
     bad.write_text("from agents.policies import registry")
     policies = {name: path for name, path in _sources().items() if name.startswith("agents.policies")}
     assert "agents.policies.registry" in _circle(policies | {"agents.policies.network": bad})
+
+
+def _statements(path: Path) -> int:
+    """The statements of a file without its docstrings."""
+    nodes = (node for node in ast.walk(_tree(path)) if isinstance(node, ast.stmt))
+    return sum(not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)) for node in nodes)
+
+
+def _purpose(sources: dict[str, Path], room: str) -> str:
+    """The first line of a room's docstring."""
+    return str(ast.get_docstring(ast.parse(sources[room].read_text()))).splitlines()[0]
+
+
+def _layout() -> list[str]:
+    """Rooms of the package with their statements, from the ground up, and the numbers of rooms, floors and arrows."""
+    sources = {name: path for name, path in _sources().items() if name.startswith("jackbox_env.")}
+    arrows, statements = {_package(name): set[str]() for name in sources}, Counter[str]()
+    for name, imported in _graph(sources).items():
+        arrows[_package(name)] |= {_package(one) for one in imported} - {_package(name)}
+        statements[_package(name)] += _statements(sources[name])
+    floor = dict[str, int]()
+    for room in TopologicalSorter(arrows).static_order():
+        floor[room] = 1 + max([floor[below] for below in arrows[room]], default=0)
+    rows = [
+        f"{floor[room]} {room.split('.')[1]:<11}{statements[room]:6,}  {_purpose(sources, room)}"
+        for room in sorted(floor, key=lambda room: floor[room])
+    ]
+    count = sum(map(len, arrows.values()))
+    return [
+        "floor, room, statements",
+        *rows,
+        f"{statements.total():6,} statements, {len(floor)} rooms, {max(floor.values())} floors, {count} arrows",
+    ]
+
+
+if __name__ == "__main__":
+    print(*_layout(), sep="\n")

@@ -18,7 +18,7 @@ from jackbox_env import JackInBoxEnv
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import model_facts, write_page
 from jackbox_env.recording.recorder import Recorder
-from jackbox_env.simulators.agent_functions import ControlStep
+from jackbox_env.simulators.plain_functions import ControlStep
 
 _LONGEST_NAME = 80  # letters of a file's name
 

@@ -34,14 +34,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import __version__
-from jackbox_env.exact.restart import WHOLE, unpacked
+from jackbox_env.exact.pcg64 import WHOLE, unpacked
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
 from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
-from jackbox_env.simulators.agent_functions import ControlStep, Nouns, make_functions
+from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns
 from jackbox_env.tools import checks as check
 
 VERSION = 1

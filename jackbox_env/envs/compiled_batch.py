@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.past import Past
 from jackbox_env.envs.scene_table import SceneTable
-from jackbox_env.exact import restart, run, score, workspace
-from jackbox_env.exact.restart import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact import pcg64, run, score, workspace
+from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.exact.workspace import NOTHING, SHARES, Call, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import SHARES, Call, Results, Rules, Scenes, Status, new_memory
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
 from jackbox_env.model.observation import STATE, bad_observation
@@ -23,9 +23,11 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
-from jackbox_env.simulators.agent_functions import CompiledFunctions, Nouns, bad_reward, compiled_for
+from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.simulators.plain_functions import Nouns
+from jackbox_env.simulators.users_functions import compiled_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -44,9 +46,9 @@ class Present(NamedTuple):
 
 
 class ExactBatch:
-    """As :class:`jackbox_env.envs.one_by_one.SingleBatch`; 416 bytes per environment besides the arrays returned.
+    """N environments of the exact model, stepped by one compiled loop, with the interface of :class:`.SingleBatch`.
 
-    With a scene for each environment it is 160 bytes more.
+    Each takes 416 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
     ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
     and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
@@ -98,12 +100,18 @@ class ExactBatch:
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._kind = SHARES if plain else workspace.ACTIONS
-        steps, max_contact_steps = self._repeat
         self._rules = Rules(
-            self._dt, steps, self._limits.steps, self._kind, False, max_contact_steps, self._limits.decisions,
-            address_of(scorer, score.block_scorer), address_of(observer, score.block_observer),
-            address_of(actor, score.block_actor), run.PATIENCE,
-        )  # fmt: skip
+            self._dt,
+            steps=self._repeat.steps,
+            longest=self._limits.steps,
+            kind=self._kind,
+            max_contact_steps=self._repeat.max_contact_steps,
+            decisions=self._limits.decisions,
+            score=address_of(scorer, score.block_scorer),
+            observe=address_of(observer, score.block_observer),
+            act=address_of(actor, score.block_actor),
+            patience=run.PATIENCE,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_compiled": None, "_rules": None, "_calls": None}  # addresses are of this process
@@ -167,7 +175,7 @@ class ExactBatch:
         if changes is None and drawn is not None and drawn.function is None and not (otherwise or starting):
             rows, derived = table.original_rows(numbers), self._derived
             follows = derived[numbers] if len(derived) > 1 else np.repeat(derived, len(numbers), axis=0)
-            compiled(restart.draw_scenes)(rows, drawn.table, follows, words)
+            compiled(pcg64.draw_scenes)(rows, drawn.table, follows, words)
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
@@ -202,7 +210,7 @@ class ExactBatch:
         else:
             rows = scenes
         if states is None:
-            compiled(restart.restart_blocks)(rows, blocks, numbers, words)
+            compiled(pcg64.restart_blocks)(rows, blocks, numbers, words)
         if not (states is None and times is None):
             block, lane = np.divmod(numbers, self._width)
             if states is not None:
@@ -348,17 +356,17 @@ class ExactBatch:
 
     def _unfilled(self) -> Results:
         """Memory for the results of a step."""
-        count, steps, pixels = self._count, self._repeat.steps, self._nouns.pixels
-        filled = NOTHING._replace(
+        count, several, pixels = self._count, self._repeat.steps > 1, self._nouns.pixels
+        shown = min(self._repeat.steps, pixels.stack) if several and pixels else 0
+        return Results(
+            observations=np.empty((0 if pixels else count, len(self._nouns.observation.names)), np.float32),
             rewards=np.zeros((1, count)),
-            returns=np.zeros(count if steps > 1 else 0),
+            returns=np.zeros(count if several else 0),
             terminations=np.zeros(count, dtype=np.bool_),
             truncations=np.zeros(count, dtype=np.bool_),
             reports=np.zeros((count if self._with_infos else 0, score.TERMS + len(self._nouns.task.terms))),
+            trajectories=np.empty((count if shown else 0, shown, 12)),
         )
-        if pixels is None:
-            return filled._replace(observations=self._nouns.unfilled(count))
-        return filled._replace(trajectories=np.empty((count if steps > 1 else 0, min(steps, pixels.stack), 12)))
 
     def _prepared(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
         """A call for each thread. They are not stored while threads use them."""
@@ -437,7 +445,7 @@ class ExactBatch:
         return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
 
     def render(self) -> tuple[Any, ...]:
-        """Nothing: environments that render are stepped one by one, see ``single.py``."""
+        """Nothing: environments that render are stepped one by one, see ``one_by_one.py``."""
         return ()
 
     def close(self) -> None:

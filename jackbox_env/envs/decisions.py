@@ -10,7 +10,8 @@ from jackbox_env.model.action import clipped_share
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.states import Array
 from jackbox_env.simulators import Impact, Simulator
-from jackbox_env.simulators.agent_functions import ControlStep, Functions
+from jackbox_env.simulators.agent_functions import Functions
+from jackbox_env.simulators.plain_functions import ControlStep
 
 
 def decide(

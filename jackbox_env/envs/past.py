@@ -29,13 +29,13 @@ class Past(NamedTuple):
         return max(1, _WAKING // math.prod(self.pixels.shape))
 
     def begun(self, numbers: Indices, states: Array) -> Past:
-        """That after some environments have begun in the rows of ``states``, shape (N, 12), of their numbers."""
+        """The past after some environments have begun in the rows of ``states``, shape (N, 12), of their numbers."""
         poses = self.poses.copy()
         poses[numbers] = states[numbers, None, :RATES]
         return self._replace(poses=poses)
 
     def after(self, states: Array, made: Array) -> Past:
-        """That after a decision, of which each environment has made so many control steps, shape (N,).
+        """The past after a decision, of which each environment has made so many control steps, shape (N,).
 
         ``states``, shape (N, places, 12), has the state after step k, counted from 1, in place k modulo ``places``. So
         it has the last ones; there are as many places as steps, or as pictures.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.exact.restart import spread
+from jackbox_env.exact.glide import spread
 from jackbox_env.exact.workspace import SCENE_PARAMS, Scenes
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers

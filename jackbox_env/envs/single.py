@@ -29,8 +29,9 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
-from jackbox_env.simulators.agent_functions import ControlStep, Functions, Nouns, make_functions, tried
+from jackbox_env.simulators.agent_functions import Functions, make_functions
 from jackbox_env.simulators.fidelity import FURTHER, resolve
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns, tried
 from jackbox_env.tools import checks as check
 
 Seen = NDArray[Any]  # float32, or uint8 pictures
@@ -353,16 +354,23 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         check.known_keys("options", options, ("state", "time", "scene"))
         time = 0.0 if options.get("time") is None else options["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-        generator = copy.deepcopy(self.np_random) if seed is None else np_random(seed)[0]
-        scene = self._next_scene(generator, options.get("scene"))
-        if options.get("state") is None:
-            state = tasks.draw_start(self.nouns.task, scene, generator)
-        else:
-            state = as_start(scene, options["state"])
-        parts = self._parts_for(scene)
-        if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
-            tried(parts[1], state)
-        observation = parts[1].observe(state, time)
+        generator = self.np_random if seed is None else np_random(seed)[0]
+        if self.nouns.task.start is not None:  # it may change more than the bits' state
+            generator = copy.deepcopy(generator)
+        bits = generator.bit_generator.state  # faster than a copy
+        try:
+            scene = self._next_scene(generator, options.get("scene"))
+            if options.get("state") is None:
+                state = tasks.draw_start(self.nouns.task, scene, generator)
+            else:
+                state = as_start(scene, options["state"])
+            parts = self._parts_for(scene)
+            if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
+                tried(parts[1], state)
+            observation = parts[1].observe(state, time)
+        except BaseException:
+            generator.bit_generator.state = bits
+            raise
         super().reset(seed=seed)
         self._np_random = generator
         self._place(parts, state, time)

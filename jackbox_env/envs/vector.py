@@ -18,10 +18,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.arguments import Arguments
+from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.batch import Limits
 from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
-from jackbox_env.envs.resets import ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats

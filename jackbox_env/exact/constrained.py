@@ -35,7 +35,7 @@ from jackbox_env.exact.flight import (
     held_view,
     horner,
 )
-from jackbox_env.exact.geometry import View, cos_sin, on_axes, quarter
+from jackbox_env.exact.geometry import Frame, View, cos_sin, on_axes, quarter
 from jackbox_env.exact.workspace import (
     ALPHA,
     BOX_COSINE,
@@ -77,6 +77,7 @@ from jackbox_env.model.states import (
     X_JACK,
     Y_BOX,
     Y_JACK,
+    Array,
 )
 
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
@@ -366,3 +367,26 @@ def carry(scene: SceneNumbers, memory: Workspace, flight: Flight, free: Flight, 
     state[VX_BOX], state[VY_BOX] = common_x + drifting - share * vx, common_y + falling - share * vy
     state[VX_JACK], state[VY_JACK] = state[VX_BOX] + vx, state[VY_BOX] + vy
     state[OMEGA_BOX], state[OMEGA_JACK] = omega, omega + view.spin
+
+
+def bias_acceleration(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
+    """Jdot qdot of a gap with the gradient ``row``: its second derivative at qddot = 0 [m/s^2]."""
+    nx, ny = row[X_BOX], row[Y_BOX]
+    vx, vy = state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX]
+    omega, spin = state[OMEGA_BOX], state[OMEGA_JACK] - state[OMEGA_BOX]
+    depth, sideways = nx * frame.x + ny * frame.y, nx * vy - ny * vx  # n . r and n^perp . v
+    along = scene.box_half_width - depth - gap  # of the foot from the jack's centre, on n
+    return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
+
+
+def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float) -> None:
+    """Fill in the accelerations of box and jack by gravity and the drive, ``since`` [s] after the piece's start."""
+    u = 2.0 * since / piece.length - 1.0
+    free = memory.held.free
+    free[X_BOX] = free[Y_BOX] = free[X_JACK] = free[THETA_JACK] = 0.0
+    free[THETA_BOX], free[Y_JACK] = piece.alpha, -scene.gravity
+    if piece.curved:
+        free[THETA_BOX] = horner(memory.powers[3 * TURN], DEGREE, u)
+    if piece.pushed:
+        free[X_BOX] = horner(memory.powers[3 * PUSH_X], DEGREE, u)
+        free[Y_BOX] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)

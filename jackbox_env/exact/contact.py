@@ -190,3 +190,11 @@ def contact_resolution(scene: SceneNumbers, memory: Workspace, tolerances: Conta
     """Gap within which contacts are simultaneous and feet may rest [m]; with loss it grows with the step's impacts."""
     gap = tolerances.resolution
     return max(gap, widened(scene, memory, gap)) if scene.restitution < 1.0 else gap
+
+
+def record_rest(memory: Workspace, log: Array, dt: float) -> None:
+    """Record the impulse of each foot at rest over the step, as an impact at its end."""
+    held = memory.held
+    for pair in range(16 if held.holding > 0 else 0):
+        if held.resting[pair] > 0.0:
+            record_impact(memory, log, dt, pair, held.resting[pair])

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from jackbox_env.exact.constrained import bias_acceleration
 from jackbox_env.exact.contact import SLOW
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
-from jackbox_env.exact.rest import bias_acceleration
 from jackbox_env.exact.step import CONSTANT, StepParameters, make_parameters, tolerances_of
 from jackbox_env.exact.tangents import FIRST_FIELD, GRAVITY, TORQUE, accelerate, drifted, fly_back, locate, step_tangent
 from jackbox_env.exact.workspace import Workspace, Workspaces, make_numbers

@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.model.scene import SceneNumbers, remainder
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -32,6 +33,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    clearance,
 )
 
 LARGEST = 1e6  # [rad] that one reduction covers
@@ -50,12 +52,17 @@ def cos_sin(angle: float) -> tuple[float, float]:
     if -LARGEST < angle < LARGEST:
         return cos_sin_within(angle)
     if -FARTHEST < angle < FARTHEST:
-        rest = abs(angle) % _TURNS  # exact
+        rest = remainder(abs(angle), _TURNS)
         over = (abs(angle) - rest) / _TURNS * _TURNS_OVER
         near = rest + over
         residue = (rest - near) + over
         c, s = cos_sin_within(near)
         return c - residue * s, (s + residue * c) * math.copysign(1.0, angle)
+    return c_library_cos_sin(angle)
+
+
+def c_library_cos_sin(angle: float) -> tuple[float, float]:
+    """The C library's cosine and sine of an angle [rad] that float64 does not resolve; NaN if it is not finite."""
     if -math.inf < angle < math.inf:
         return math.cos(angle), math.sin(angle)
     return math.nan, math.nan
@@ -67,7 +74,7 @@ def without_turns(angle: float) -> float:
         return angle
     near, over = angle, 0.0
     if not -LARGEST < angle < LARGEST:
-        near = math.copysign(abs(angle) % _TURNS, angle)  # exact
+        near = math.copysign(remainder(abs(angle), _TURNS), angle)
         over = (angle - near) / _TURNS * _TURNS_OVER
     quarters = 4.0 * np.floor(near * (0.25 * _QUARTERS_PER_RADIAN) + 0.5)
     return float(((near - quarters * _QUARTER_HIGH) - quarters * _QUARTER_MIDDLE) - (quarters * _QUARTER_LOW - over))
@@ -213,3 +220,22 @@ def foot_gap(
     """
     gap, lever = gap_and_lever(scene, ahead, cosine, sine, turn)
     return gap, lever * spin - speed
+
+
+_ORDINARY = 1e9  # over L: smaller numbers of a state need no check in Python
+
+
+def outside(values: Array, states: Array, deepest: Array) -> int:
+    """The first of the states, shape (N, 12), that a check in Python may refuse, or -1.
+
+    ``values`` has one scene for all states or one for each, ``deepest`` the allowed depth of a foot in each [m].
+    """
+    for i in range(states.shape[0]):
+        row = i if values.shape[0] > 1 else 0
+        scene = make_numbers(values[row])
+        for column in range(12):
+            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
+                return i
+        if not -clearance(scene, states[i]) <= deepest[row]:
+            return i
+    return -1

@@ -9,16 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from jackbox_env.exact.bounds import centre_curvature_of, clearance_of_all, farthest, foot_curvature_of
 from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
 from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
-from jackbox_env.exact.search import (
-    STEEPEST,
-    centre_curvature_of,
-    clearance_of_all,
-    farthest,
-    foot_curvature_of,
-)
-from jackbox_env.exact.step import StepParameters
+from jackbox_env.exact.search import STEEPEST
+from jackbox_env.exact.step import CONSTANT, StepParameters, make_parameters
 from jackbox_env.exact.workspace import (
     AHEAD,
     ALPHA_BOUND,
@@ -40,6 +35,7 @@ from jackbox_env.exact.workspace import (
     LANE_ROOM,
     LANE_SINE,
     LANE_SPIN,
+    LIMIT,
     NEAR,
     ORDINARY,
     ORDINARY_LANE,
@@ -51,6 +47,7 @@ from jackbox_env.exact.workspace import (
     TORQUE,
     TURNING,
     Workspace,
+    make_numbers,
 )
 from jackbox_env.model.scene import SceneNumbers, chirp_turns
 from jackbox_env.model.states import (
@@ -68,6 +65,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    Counts,
 )
 
 _DRIFT_COST = 0.005  # gap evaluations that take as long as one row's flight through a piece
@@ -314,3 +312,21 @@ def drift(block: Block, gravity: float, length: float, angle: float, rate: float
     jack_angle, spin = after[THETA_JACK], after[OMEGA_JACK]
     for k in range(count):
         jack_angle[k] += spin[k] * length
+
+
+def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
+    """Write the numbers of scenes that rows moved together need, see ``workspace.SCENE_PARAMS``.
+
+    Args:
+        values: the scenes' numbers, a row for each of ``numbers`` or one for all.
+        dt: control step [s].
+        scene_params: shape (blocks, SCENE_PARAMS, width), to be written.
+        numbers: of the environments.
+    """
+    for i in range(numbers.shape[0]):
+        scene = make_numbers(values[i if values.shape[0] > 1 else 0])
+        lane = scene_params[numbers[i] // scene_params.shape[2], :, numbers[i] % scene_params.shape[2]]
+        lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
+        lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear
+        lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
+        lane[JACK_ARM] = scene.jack_arm

@@ -1,6 +1,6 @@
 """Feet at rest on walls: which ones rest, and how box and jack move while walls hold them.
 
-``step.advance`` calls :func:`advance_resting` when ``search.py`` detects a slow foot on a wall: :func:`settle` selects
+``step.advance`` calls ``late.advance_resting`` when ``search.py`` detects a slow foot on a wall: :func:`settle` selects
 the feet that rest, and :func:`advance_held` integrates the motion with them. Both are compiled when a step first needs
 them (``late.py``).
 A bounce lower than the resolution of contacts ends in rest. From then on the foot is held: it may slide, since walls
@@ -20,30 +20,23 @@ deep: to come nearer would renew the force that has just released it. The projec
 gain energy; that of the positions changes the energy by about the weight times the correction.
 Resolution: with loss, a foot is at rest if it would rise by ``contact.contact_resolution`` at most. That is
 ``ContactTolerances.resolution``, and grows to 1e-10 m in a step with many impacts. Coming to rest loses at most m_j K
-times the resolution in energy for each foot by itself, with K of ``search.py``.
+times the resolution in energy for each foot by itself, with K of ``bounds.py``.
 Cost: about 2 microseconds a stretch, mostly a whole control step; counted as 40 gap evaluations (``step.effort``).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numpy as np
-
-from jackbox_env.exact.constrained import carry, curvature_while_held, stretch
-from jackbox_env.exact.contact import ContactTolerances, deepest, kick, record_impact, resolve
+from jackbox_env.exact.bounds import bounds_of
+from jackbox_env.exact.constrained import accelerations, bias_acceleration, carry, curvature_while_held, stretch
+from jackbox_env.exact.contact import ContactTolerances, deepest, kick, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
-    PUSH_X,
-    PUSH_Y,
     RECIPROCALS,
-    TURN,
     Flight,
     Piece,
-    constant_piece,
     flight_of,
-    horner,
 )
 from jackbox_env.exact.geometry import Frame, box_frame, frame_of, gradient, rate_of, view_of
 from jackbox_env.exact.search import (
@@ -55,30 +48,17 @@ from jackbox_env.exact.search import (
     UNDECIDED,
     Event,
     Limits,
-    bounds_of,
     first_of_all,
     may_rest,
     parabola_root,
     why_undecided,
 )
-from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace, new_log, new_workspaces
-from jackbox_env.jit.compiler import called_later, is_compiled
+from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace
 from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
-    OMEGA_BOX,
-    OMEGA_JACK,
     RATES,
-    THETA_BOX,
-    THETA_JACK,
-    VX_BOX,
-    VX_JACK,
-    VY_BOX,
-    VY_JACK,
     X_BOX,
-    X_JACK,
-    Y_BOX,
-    Y_JACK,
     Array,
 )
 
@@ -88,29 +68,6 @@ _PULL = 1e-12  # of the largest power of the forces in a stretch: a wall may pul
 _ROUNDED = 4e-16  # of L: rounding of a gap
 _FAR_OUT = 1000.0  # resolutions: rounding far from the origin leaves feet less deep
 _PATIENT = 1000.0  # evaluations of a force before its least step
-
-
-def bias_acceleration(scene: SceneNumbers, state: Array, frame: Frame, row: Array, gap: float) -> float:
-    """Jdot qdot of a gap with the gradient ``row``: its second derivative at qddot = 0 [m/s^2]."""
-    nx, ny = row[X_BOX], row[Y_BOX]
-    vx, vy = state[VX_JACK] - state[VX_BOX], state[VY_JACK] - state[VY_BOX]
-    omega, spin = state[OMEGA_BOX], state[OMEGA_JACK] - state[OMEGA_BOX]
-    depth, sideways = nx * frame.x + ny * frame.y, nx * vy - ny * vx  # n . r and n^perp . v
-    along = scene.box_half_width - depth - gap  # of the foot from the jack's centre, on n
-    return float(-2.0 * omega * sideways + omega * omega * depth + spin * spin * along)
-
-
-def accelerations(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float) -> None:
-    """Fill in the accelerations of box and jack by gravity and the drive, ``since`` [s] after the piece's start."""
-    u = 2.0 * since / piece.length - 1.0
-    free = memory.held.free
-    free[X_BOX] = free[Y_BOX] = free[X_JACK] = free[THETA_JACK] = 0.0
-    free[THETA_BOX], free[Y_JACK] = piece.alpha, -scene.gravity
-    if piece.curved:
-        free[THETA_BOX] = horner(memory.powers[3 * TURN], DEGREE, u)
-    if piece.pushed:
-        free[X_BOX] = horner(memory.powers[3 * PUSH_X], DEGREE, u)
-        free[Y_BOX] = horner(memory.powers[3 * PUSH_Y], DEGREE, u)
 
 
 def list_contacts(scene: SceneNumbers, contacts: Contacts, state: Array, count: int) -> Frame:
@@ -371,37 +328,6 @@ def advance_held(
     return ended, end
 
 
-def settle_and_advance(
-    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, flight: Flight, horizon: float,
-    tolerances: ContactTolerances, resolution: float,
-) -> tuple[Status, float]:  # fmt: skip
-    """:func:`settle`, and then :func:`advance_held`, from ``flight.since``; FREE and 0 if no foot rests."""
-    held = settle(scene, memory, piece, flight, horizon, tolerances, resolution)
-    if held == 0:
-        return Status.FREE, 0.0
-    return advance_held(scene, memory, log, piece, tolerances, resolution, flight.since, held)
-
-
-def example() -> tuple[Any, ...]:
-    """What :func:`settle_and_advance` returns, and arguments of it."""
-    scene, piece = SceneNumbers(*[0.0] * len(SceneNumbers._fields)), constant_piece(0.0, 0.0)
-    flight, tolerances = flight_of(scene, np.zeros(12), piece, 0.0), ContactTolerances(0.0, 0.0)
-    return (Status.DONE, 0.0), scene, new_workspaces()[0], new_log(), piece, flight, 0.0, tolerances, 0.0
-
-
-rest_at = called_later(lambda: settle_and_advance, example)
-
-
-def advance_resting(
-    scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, flight: Flight, horizon: float,
-    tolerances: ContactTolerances, resolution: float,
-) -> tuple[Status, float]:  # fmt: skip
-    """Call :func:`settle_and_advance` by its address; UNCOMPILED if it is not compiled yet."""
-    if not is_compiled(memory.rest):
-        return Status.UNCOMPILED, 0.0
-    return rest_at(memory.rest)(scene, memory, log, piece, flight, horizon, tolerances, resolution)
-
-
 def first_release(memory: Workspace, count: int, length: float) -> tuple[float, int]:
     """When the first held foot is released [s], and its index; the stretch's ``length`` and -1 if none is."""
     end, released, peak = length, -1, 0.0
@@ -454,11 +380,3 @@ def scaled_impulse(held: HeldFeet, contact: int, u: float) -> float:
     for k in range(DEGREE, -1, -1):
         impulse = RECIPROCALS[k] * held.series[FORCE + contact, k] + impulse * u
     return impulse * u
-
-
-def record_rest(memory: Workspace, log: Array, dt: float) -> None:
-    """Record the impulse of each foot at rest over the step, as an impact at its end."""
-    held = memory.held
-    for pair in range(16 if held.holding > 0 else 0):
-        if held.resting[pair] > 0.0:
-            record_impact(memory, log, dt, pair, held.resting[pair])

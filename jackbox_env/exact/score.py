@@ -101,7 +101,7 @@ def observe_rows(values: Array, block: Array, count: int, scratch: Array, low: i
 
 
 def observe_block(values: Array, block: Array, count: int, scratch: Array, low: int, observations: Floats) -> int:
-    """The same for the ten numbers of :func:`observe`, many rows at a time; always -1."""
+    """The observer of the ten numbers of :func:`observe`, many rows at a time; always returns -1."""
     angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
     cosine, sine, cosine_4, sine_4 = scratch[0], scratch[1], scratch[2], scratch[3]
     beyond = 0

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, resolve
+from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, record_rest, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
     TURN,
@@ -33,7 +33,7 @@ from jackbox_env.exact.flight import (
     stays_clear,
 )
 from jackbox_env.exact.geometry import without_turns
-from jackbox_env.exact.rest import advance_resting, record_rest
+from jackbox_env.exact.late import advance_resting
 from jackbox_env.exact.search import (
     AT_REST,
     NO_IMPACT,

@@ -69,7 +69,7 @@ class Workspace(np.record):  # type: ignore[misc]
     before: Annotated[Array, 12]  # of a tangent: the state just before an impact
     after: Annotated[Array, 12]  # of a tangent: the state at the step's end, in the same frame
     drift: Annotated[Array, 6]  # of a tangent's free flight, see tangents.py
-    rest: int  # address of ``rest.settle_and_advance``; 0: not compiled yet, see late.py
+    rest: int  # address of ``late.settle_and_advance``; 0: not compiled yet, see late.py
     together: int  # address of ``contact.bounce_together``; 0: not compiled yet
     powers: Annotated[Array, 9, 16]  # accelerations of the box, see flight.py
     contacts: Contacts
@@ -171,7 +171,7 @@ class Scenes(NamedTuple):
     """The scenes and their drives: one for all rows, or one for each."""
 
     values: Array  # (1 or N, numbers of a scene)
-    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``restart.spread``
+    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``glide.spread``
     kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
@@ -187,33 +187,35 @@ class Rules(NamedTuple):
     """Settings of all rows and steps."""
 
     dt: float  # control step [s]
-    steps: int
-    longest: float  # steps after which an episode is truncated
-    kind: int  # of the controls: TORQUES, SHARES or ACTIONS
-    continue_after_done: bool  # whether rows go on after their episode's end, without rewards
-    max_contact_steps: int  # 0: impacts stop no row; else one does after a step without, or once so many steps are made
-    decisions: float  # calls after which an episode is truncated; counted if it is finite
-    score: Any  # address of the task's ``score_block``; unused without rewards
-    observe: Any  # address of the observation's ``observe_rows``; unused without observations
-    act: Any  # address of the action's ``act_block``; unused but with ACTIONS
-    patience: float  # work before the call pauses, in gap evaluations
+    steps: int = 1
+    longest: float = math.inf  # steps after which an episode is truncated
+    kind: int = TORQUES  # of the controls: TORQUES, SHARES or ACTIONS
+    continue_after_done: bool = False  # whether rows go on after their episode's end, without rewards
+    # 0: impacts stop no row; else one does after a step without, or once so many steps are made.
+    max_contact_steps: int = 0
+    decisions: float = math.inf  # calls after which an episode is truncated; counted if it is finite
+    score: Any = 0  # address of the task's ``score_block``; unused without rewards
+    observe: Any = 0  # address of the observation's ``observe_rows``; unused without observations
+    act: Any = 0  # address of the action's ``act_block``; unused but with ACTIONS
+    patience: float = math.inf  # work before the call pauses, in gap evaluations
 
 
 class Results(NamedTuple):
     """Arrays that a call fills in, except those of length 0."""
 
-    observations: Floats  # after the last step, (N, numbers)
-    rewards: Array  # (steps, N), zeros before; (1, N): of the last step alone
-    returns: Array  # sums of the rewards, (N,), zeros before
-    terminations: Flags  # (N,), False before; whether the task has ended the episode
-    truncations: Flags  # (N,), False before
-    reports: Array  # sums over the steps, (N, TERMS + number of terms), zeros before
-    lengths: Counts  # steps until the task ends the episode, (N,), all steps before
-    trajectories: Array  # states after step k in place k, (N, steps + 1, 12); with fewer places, k modulo their number
-    energies: Array  # of the states [J], (N, steps + 1)
-    hits: Counts  # impacts in each step, (steps, N), zeros before
-    impulses: Array  # their sum [N s], (steps, N), zeros before
-    nonsmooth: Flags  # whether a step has no derivative, (N, steps)
+    observations: Floats = np.zeros((0, 10), np.float32)  # after the last step, (N, numbers)
+    rewards: Array = np.zeros((0, 0))  # (steps, N), zeros before; (1, N): of the last step alone
+    returns: Array = np.zeros(0)  # sums of the rewards, (N,), zeros before
+    terminations: Flags = np.zeros(0, np.bool_)  # (N,), False before; whether the task has ended the episode
+    truncations: Flags = np.zeros(0, np.bool_)  # (N,), False before
+    reports: Array = np.zeros((0, 0))  # sums over the steps, (N, TERMS + number of terms), zeros before
+    lengths: Counts = np.zeros(0, np.int64)  # steps until the task ends the episode, (N,), all steps before
+    # States after step k in place k, (N, steps + 1, 12); with fewer places, k modulo their number.
+    trajectories: Array = np.zeros((0, 0, 12))
+    energies: Array = np.zeros((0, 0))  # of the states [J], (N, steps + 1)
+    hits: Counts = np.zeros((0, 0), np.int64)  # impacts in each step, (steps, N), zeros before
+    impulses: Array = np.zeros((0, 0))  # their sum [N s], (steps, N), zeros before
+    nonsmooth: Flags = np.zeros((0, 0), np.bool_)  # whether a step has no derivative, (N, steps)
 
 
 class Memory(NamedTuple):
@@ -247,19 +249,11 @@ class Arguments(NamedTuple):
     memory: Memory
 
 
-NOTHING = Results(
-    np.zeros((0, 10), np.float32), np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.bool_), np.zeros(0, np.bool_),
-    np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 0, 12)), np.zeros((0, 0)), np.zeros((0, 0), np.int64),
-    np.zeros((0, 0)), np.zeros((0, 0), np.bool_),
-)  # fmt: skip
-
-
 def example() -> Arguments:
     """Empty arguments of the types that :func:`jackbox_env.exact.run.run` is compiled for."""
     none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    rules = Rules(0.02, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, 2e6)
-    memory = Memory(none, new_workspaces(), none)
-    return Arguments(Scenes(none, cube, counts, none, counts, counts), rules, cube, cube, none, NOTHING, memory)
+    scenes, memory = Scenes(none, cube, counts, none, counts, counts), Memory(none, new_workspaces(), none)
+    return Arguments(scenes, Rules(0.02), cube, cube, none, Results(), memory)
 
 
 arguments_at = unpacked_as(example)
@@ -283,10 +277,13 @@ class Call:
         )
 
     def prepare_again(self, before: Array, after: Array, controls: Array, results: Results) -> None:
-        """Set other arrays for the same scenes and rules. From ``lengths`` on, the results are those of NOTHING."""
+        """Set other arrays for the same scenes and rules. From ``lengths`` on, the results have length 0."""
         scenes, rules, *_ = self._arguments
         self._arguments = scenes, rules, before, after, controls, results
-        self.address = self._pack_again(self._packed, self.address, before, after, controls, *results[:6])
+        self.address = self._pack_again(
+            self._packed, self.address, before, after, controls, results.observations, results.rewards,
+            results.returns, results.terminations, results.truncations, results.reports,
+        )  # fmt: skip
 
     def with_room(self) -> Call:
         """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
@@ -301,22 +298,10 @@ def pack(
     scratch: Array, workspaces: Workspaces, log: Array,
 ) -> Any:  # fmt: skip
     """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
-    return packed(
-        memory.ctypes.data,
-        Arguments(
-            Scenes(scenes[0], scenes[1], scenes[2], scenes[3], scenes[4], scenes[5]),
-            Rules(
-                rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7], rules[8], rules[9],
-                rules[10],
-            ),
-            before, after, controls,
-            Results(
-                results[0], results[1], results[2], results[3], results[4], results[5], results[6], results[7],
-                results[8], results[9], results[10], results[11],
-            ),
-            Memory(scratch, workspaces, log),
-        ),
-    )  # fmt: skip
+    filled = Arguments(
+        Scenes(*scenes), Rules(*rules), before, after, controls, Results(*results), Memory(scratch, workspaces, log)
+    )
+    return packed(memory.ctypes.data, filled)
 
 
 def pack_again(
@@ -326,17 +311,21 @@ def pack_again(
     """Replace some arguments in ``memory``, which has this ``address``."""
     call = arguments_at(address)
     rest = call.results
-    return packed(
-        memory.ctypes.data,
-        Arguments(
-            call.scenes, call.rules, before, after, controls,
-            Results(
-                observations, rewards, returns, terminations, truncations, reports, rest.lengths, rest.trajectories,
-                rest.energies, rest.hits, rest.impulses, rest.nonsmooth,
-            ),
-            call.memory,
-        ),
-    )  # fmt: skip
+    results = Results(
+        observations=observations,
+        rewards=rewards,
+        returns=returns,
+        terminations=terminations,
+        truncations=truncations,
+        reports=reports,
+        lengths=rest.lengths,
+        trajectories=rest.trajectories,
+        energies=rest.energies,
+        hits=rest.hits,
+        impulses=rest.impulses,
+        nonsmooth=rest.nonsmooth,
+    )
+    return packed(memory.ctypes.data, Arguments(call.scenes, call.rules, before, after, controls, results, call.memory))
 
 
 def make_numbers(values: Array) -> SceneNumbers:

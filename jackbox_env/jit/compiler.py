@@ -12,35 +12,26 @@ call, which takes longer than a step of a small batch. Here the address is looke
 from __future__ import annotations
 
 import builtins
-import contextlib
-import hashlib
 import itertools
-import math
-import os
-import shutil
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from functools import cache
-from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from jackbox_env.jit.folders import HASHED, cache_folders, shipped_folder
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import State
 from jackbox_env.tools.signals import uninterrupted
 
-PACKAGE = Path(__file__).parents[1]
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 Substitutes = tuple[tuple[str, Any], ...]  # names of globals, each with its substitute
 _LOCK = threading.RLock()  # a function is compiled once, also if several threads need it
 _KNOWN_TO_NUMBA = {"numba", "numpy", *sys.stdlib_module_names}  # packages whose functions numba knows or refuses
-_MOST_FOLDERS = 8  # of compiled code, one for each version of the source
-# Where in this package stored code comes from: no file there imports one from elsewhere.
-_HASHED = "tools/", "model/", "jit/", "exact/", "render/raster.py"
 _numbers = itertools.count()
 
 
@@ -67,17 +58,15 @@ def compiled_with(function: F, **substitutes: Any) -> F:
 
 def intermediate_code(
     function: Callable[..., Any], arguments: tuple[Any, ...], **substitutes: Callable[..., Any]
-) -> tuple[Any, str]:
-    """Numba's library of a function with all that it calls, not yet machine code, and the function's name in it.
+) -> tuple[str, str]:
+    """LLVM's code of a function with all that it calls, before LLVM's passes, and the function's name in it.
 
     Args:
         function: a plain function.
         arguments: numba's types of them.
         **substitutes: functions that replace those of these names.
     """
-    dispatcher = _Compilation(tuple(substitutes.items())).compiled(function, inner=True)
-    result = _native().compiled_at(dispatcher, arguments)
-    return result.library, result.fndesc.llvm_func_name
+    return _Compilation(tuple(substitutes.items())).intermediate_code(function, arguments)
 
 
 @cache
@@ -115,7 +104,7 @@ _INLINED: set[Callable[..., Any]] = set()
 @cache
 def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_disk: bool) -> Any:
     for one in (function, *dict(substitutes).values()) if on_disk else ():
-        if not f"{one.__module__.partition('.')[2].replace('.', '/')}.py".startswith(_HASHED):
+        if not f"{one.__module__.partition('.')[2].replace('.', '/')}.py".startswith(HASHED):
             raise ValueError(f"code of {_full_name(one)} cannot be stored: the hash of the source leaves its file out")
     with _LOCK, uninterrupted():
         return _compilation(substitutes, on_disk).compiled(function)
@@ -142,7 +131,7 @@ class _Compilation:
 
     def compiled(self, function: Any, inner: bool = False) -> Any:
         """The compiled function; ``inner`` if only compiled code calls it."""
-        foreign, names = _top_level(function.__globals__) != _top_level(globals()), _used_names(function.__code__)
+        foreign, names = _is_foreign(function), _used_names(function.__code__)
         if (
             (self._substitutes or self._users)
             and not foreign
@@ -160,6 +149,12 @@ class _Compilation:
             raise TypeError(f"{function.__name__} calls itself")
         return self._twins[function, inner]
 
+    def intermediate_code(self, function: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
+        """As the function of this name."""
+        with _LOCK, uninterrupted():
+            result = _native().compiled_at(self.compiled(function, inner=True), arguments)
+            return _native().unoptimized(result.library), result.fndesc.llvm_func_name
+
     def _twin(self, function: Any, inner: bool, foreign: bool, names: set[str]) -> Any:
         """The function compiled, which uses these ``names`` and is ``foreign`` if it is not of this package."""
         if function.__code__.co_kwonlyargcount:
@@ -167,7 +162,7 @@ class _Compilation:
         namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
         known = self._counterparts(names, namespace)
         cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-        defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
+        defaults = tuple(map(_native().signed, map(_copied, function.__defaults__ or ())))
         twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
         twin.__module__ = function.__module__ or "__main__"  # exec makes functions without a module
         twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
@@ -217,6 +212,12 @@ class UsersFunctions(_Compilation):
                 self.entries[function] = self.compiled(function)
         return cast(F, self.entries[function])
 
+    def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
+        """The same with further substitutes of functions of this package; the user's functions are not read again."""
+        other = UsersFunctions(lambda _: self._substitutes | substitutes)
+        other._twins = {key: twin for key, twin in self._twins.items() if _is_foreign(key[0])}
+        return other
+
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
         """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
 
@@ -247,24 +248,6 @@ def _copied(value: Any) -> Any:
     return value
 
 
-class _MinusZero(float):
-    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _MinusZero)
-
-    def __hash__(self) -> int:
-        return hash("-0.0")
-
-
-def _signed(default: Any) -> Any:
-    """The same default of an argument, in which -0.0 differs from 0.0."""
-    if type(default) is tuple:
-        return tuple(map(_signed, default))
-    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
-    return _MinusZero(default) if minus_zero else default
-
-
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
     if is_disabled():
         twin.__globals__["__builtins__"] = builtins  # numpy imports ctypes in the function that asks for an address
@@ -279,7 +262,7 @@ def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_dis
         )
     dispatcher = native.jitted(twin, inner, inline, checked, on_disk)
     if on_disk and not native.LACKING:
-        native.set_cache(dispatcher, CodeCache(twin, cache_folders(), PACKAGE / "exact" / "shipped" / _folder_name()))
+        native.set_cache(dispatcher, CodeCache(twin, cache_folders(), shipped_folder()))
     return dispatcher
 
 
@@ -294,7 +277,7 @@ def _reachable_names(function: FunctionType) -> set[str]:
     """The names that a function of this package uses, itself or in functions of this package that it calls."""
     names = _used_names(function.__code__)
     used = [one for one in map(function.__globals__.get, names) if isinstance(one, FunctionType)]
-    return names.union(*(_reachable_names(one) for one in used if _top_level(one.__globals__) == _top_level(globals())))
+    return names.union(*(_reachable_names(one) for one in used if not _is_foreign(one)))
 
 
 def _full_name(function: Callable[..., Any]) -> str:
@@ -306,35 +289,9 @@ def _top_level(named: Mapping[str, Any]) -> str:
     return str(named.get("__name__")).split(".")[0]
 
 
-@cache
-def _folder_name(package: Path = PACKAGE) -> str:
-    """Folder of compiled code, by a hash of all that it may come from: the code of a function includes its callees."""
-    paths = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
-    sources = (paths[name].read_bytes() for name in sorted(paths) if name.startswith(_HASHED))
-    return f"compiled-{hashlib.sha256(b''.join(sources)).hexdigest()[:16]}"
-
-
-def _tidy(parent: Path) -> None:
-    """Remove code that was compiled from old versions of the source."""
-    with contextlib.suppress(OSError):  # another process may be tidying too
-        for old in sorted(parent.glob("compiled-*"), key=lambda folder: folder.stat().st_mtime)[:-_MOST_FOLDERS]:
-            shutil.rmtree(old, ignore_errors=True)
-
-
-def cache_folders() -> list[Path]:
-    """Folders to search for compiled code. It is saved in the last, the first that can be written."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    parents, folders = [os.environ.get("NUMBA_CACHE_DIR"), PACKAGE / "__pycache__", Path(home, "jackbox")], list[Path]()
-    for parent in (Path(parent).absolute() for parent in parents if parent):  # the process may change its folder
-        folder = parent / _folder_name()
-        with contextlib.suppress(OSError):
-            if not folder.is_dir():
-                folder.mkdir(parents=True, exist_ok=True)
-                _tidy(parent)
-            folders.append(folder)
-            if os.access(folder, os.W_OK):
-                break
-    return folders or [folder]
+def _is_foreign(function: FunctionType) -> bool:
+    """Whether a function is not of this package."""
+    return _top_level(function.__globals__) != _top_level(globals())
 
 
 def called_at(signature: Callable[[Any], Any]) -> Callable[[Any], Callable[..., int]]:

@@ -14,6 +14,7 @@ import contextlib
 import gc
 import inspect
 import itertools
+import math
 import pickle
 import pkgutil
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numba
 from numba import njit, typeof, types
 from numba.core import cgutils
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic, overload
 
 from jackbox_env.tools.signals import uninterrupted
@@ -40,6 +42,7 @@ NEEDED = (
 FASTER = (
     "llvmlite.binding.ffi:ObjectRef._dispose", "llvmlite.binding.newpassmanagers:ModulePassManager",
     "llvmlite.binding.newpassmanagers:FunctionPassManager",
+    "numba.core.codegen:CodeLibrary._ensure_finalized", "numba.core.codegen:CPUCodeLibrary.finalize _final_module",
     "numba.core.caching:NullCache.load_overload", "numba.core.caching:NullCache.save_overload",
     "numba.core.codegen:JITCPUCodegen.create_library", "numba.core.codegen:JITCPUCodegen.magic_tuple",
     "numba.core.codegen:JITCPUCodegen.set_env", "numba.core.codegen:JITCodeLibrary._finalize_dynamic_globals",
@@ -229,6 +232,13 @@ def loaded(code: bytes, context: Any) -> Any:
     return CompileResult._rebuild(context, *pickle.loads(code))  # type: ignore[no-untyped-call]
 
 
+def unoptimized(library: Any) -> str:
+    """LLVM's code of a library and all that it calls, before LLVM's passes."""
+    with global_compiler_lock:
+        library._ensure_finalized()
+    return str(library._final_module)
+
+
 def target_of(context: Any) -> tuple[str, str, str]:
     """The triple, CPU and features that code is compiled for."""
     context.refresh()
@@ -364,3 +374,21 @@ def loaded_from(kind: Any) -> Any:
         return kind(types.int64), generate
 
     return load
+
+
+class _MinusZero(float):
+    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _MinusZero)
+
+    def __hash__(self) -> int:
+        return hash("-0.0")
+
+
+def signed(default: Any) -> Any:
+    """The same default of an argument, in which -0.0 differs from 0.0."""
+    if type(default) is tuple:
+        return tuple(map(signed, default))
+    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
+    return _MinusZero(default) if minus_zero else default

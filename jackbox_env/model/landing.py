@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.model.scene import Scene, SceneNumbers
+from jackbox_env.model.scene import Scene, SceneNumbers, remainder
 from jackbox_env.model.states import Array, State
 
 QUARTER = 0.5 * math.pi
@@ -38,7 +38,7 @@ def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
 
 def upright(angle: float) -> float:
     """An angle of the box [rad] turned back by whole quarter turns, to within an eighth: the box looks the same."""
-    turned = abs(angle) % QUARTER
+    turned = remainder(abs(angle), QUARTER) if abs(angle) < 2.0**53 else abs(angle) % QUARTER
     if turned > 0.5 * QUARTER:
         turned -= QUARTER
     return turned if angle > 0.0 else -turned

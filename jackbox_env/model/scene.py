@@ -64,6 +64,16 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
     return product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
+def remainder(x: float, y: float) -> float:
+    """``x`` modulo ``y``, for 0 <= ``x`` < 2^53 ``y``, with the bits of ``%``, which GPUs round.
+
+    It is exact: the quotient is at most one too large, and neither difference needs more digits than ``y``.
+    """
+    multiple, error = _two_product(float(math.floor(x / y)), y)
+    rest = (x - multiple) - error
+    return rest + y if rest < 0.0 else rest
+
+
 def chirp_turns(start_frequency: float, rate: float, time: float) -> float:
     """Phase f0 t + k t^2 / 2 at ``time`` in turns, less a whole number; its error does not grow with the time."""
     linear, linear_error = _two_product(start_frequency, time)

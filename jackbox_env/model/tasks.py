@@ -37,7 +37,7 @@ AnyScene = Scene | SceneNumbers
 
 
 class TaskError(RuntimeError):
-    """A task's reward is NaN or infinite."""
+    """A user's function returned what cannot be used: a NaN, or a reward that is infinite."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import Task, task_of
+from jackbox_env.planning import card
 from jackbox_env.planning.rollouts import RolloutOptions, run_rollouts
 from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.tools import checks as check
@@ -64,6 +65,7 @@ class PlanSearch:
         iterations: of each decision.
         seed: of the candidates. A plan depends on it and on its own states, not on other plans.
         num_threads: that simulate them; the plans do not depend on it.
+        device: that simulates them, as of ``rollout``; the plans do not depend on it.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -71,7 +73,7 @@ class PlanSearch:
 
     def __init__(
         self, task: str | Task, control_dt: float, *, repeat: int, knots: int, samples: int, elites: int,
-        iterations: int, seed: int = 0, num_threads: int | None = None,
+        iterations: int, seed: int = 0, num_threads: int | None = None, device: str | None = None,
     ) -> None:  # fmt: skip
         self.task, self.control_dt = task_of(task, "task"), check.real("control_dt", control_dt, above=0.0)
         self.repeat = check.whole("repeat", repeat, at_least=1)
@@ -81,6 +83,7 @@ class PlanSearch:
         self.iterations = check.whole("iterations", iterations, at_least=1)
         self.seed = check.whole("seed", seed, at_least=0)
         self.num_threads = None if num_threads is None else check.whole("num_threads", num_threads, at_least=1)
+        self.device = card.checked(device)
         self.reused = min(max(1, round(_REUSED * elites)), samples - 1)
         ensure_compiled()
 
@@ -139,7 +142,9 @@ class PlanSearch:
         scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
         limits = np.array([[one.torque_limit] for one in scenes])
         starts, torques = np.repeat(states, many, axis=0), candidates.reshape(count * many, -1) * limits
-        options = RolloutOptions(side_forces=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads)
+        options = RolloutOptions(
+            side_forces=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads, device=self.device
+        )
         played = run_rollouts(scenes, starts, torques, self.control_dt, options=options)
         return played.rewards.sum(axis=1).reshape(count, many), played.trajectories[:, 1].reshape(count, many, 12)
 

@@ -6,7 +6,6 @@ Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
@@ -14,15 +13,14 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.exact.restart import outside, spread
+from jackbox_env.exact.geometry import outside
+from jackbox_env.exact.glide import spread
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import (
-    NOTHING,
     SCENE_PARAMS,
     TIME,
-    TORQUES,
     WIDEST,
     WIDTH,
     Call,
@@ -38,7 +36,8 @@ from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
 from jackbox_env.model.tasks import Task, task_of
-from jackbox_env.simulators.agent_functions import bad_reward, compiled_for
+from jackbox_env.planning import card
+from jackbox_env.simulators.agent_functions import bad_reward
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -49,6 +48,7 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
+from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check
 
 OneOrMore = Scene | Mapping[str, Any] | None | Sequence[Scene | Mapping[str, Any] | None]
@@ -87,11 +87,21 @@ class Rollout(NamedTuple, Generic[Rewards, Lengths]):
     lengths: Lengths
 
 
+class CudaRollout(Rollout[Rewards, Lengths]):
+    """A rollout of ``device="cuda"``.
+
+    Attributes:
+        left_to_cpu: rows that the GPU has left to the CPU, as feet came to rest for example.
+    """
+
+    left_to_cpu = 0
+
+
 @overload
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: Literal[False] = False, impacts: Literal[False] = False, rewards: None = None, repeat: int = 1,
-    trajectories: Literal[True] = True, num_threads: int | None = None,
+    trajectories: Literal[True] = True, num_threads: int | None = None, device: str | None = None,
 ) -> Array: ...  # fmt: skip
 
 
@@ -99,7 +109,7 @@ def rollout(
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task, repeat: int = 1, trajectories: bool = True,
-    num_threads: int | None = None,
+    num_threads: int | None = None, device: str | None = None,
 ) -> Rollout[Array, Counts]: ...  # fmt: skip
 
 
@@ -107,7 +117,7 @@ def rollout(
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: None = None, repeat: int = 1,
-    trajectories: Literal[False], num_threads: int | None = None,
+    trajectories: Literal[False], num_threads: int | None = None, device: str | None = None,
 ) -> Rollout[None, None]: ...  # fmt: skip
 
 
@@ -115,7 +125,7 @@ def rollout(
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task | None = None, repeat: int = 1,
-    trajectories: bool = True, num_threads: int | None = None,
+    trajectories: bool = True, num_threads: int | None = None, device: str | None = None,
 ) -> Array | Rollout[Array | None, Counts | None]: ...  # fmt: skip
 
 
@@ -132,6 +142,7 @@ def rollout(
     repeat: int = 1,
     trajectories: bool = True,
     num_threads: int | None = None,
+    device: str | None = None,
 ) -> Array | Rollout[Any, Any]:
     """Simulate sequences of torques from many states by the exact contact model.
 
@@ -156,6 +167,8 @@ def rollout(
         repeat: steps that each torque is repeated for, 1 to 1,000,000; H is then the number of all steps.
         trajectories: False: return only the first and the last states, which saves memory and time.
         num_threads: None: as many as the machine has. Results do not depend on it.
+        device: "cuda": play on a GPU of NVIDIA, with the same bits; a few rows may be left to the CPU. Tensors of
+            PyTorch or another library with DLPack are accepted, and the results then are tensors on the GPU.
 
     Returns:
         Trajectories, float64, shape (N, H + 1, 12), the first states included; a :class:`Rollout` if anything else is
@@ -163,6 +176,7 @@ def rollout(
 
     Raises:
         TypeError, ValueError: unusable values.
+        ImportError, RuntimeError, MemoryError: what ``device`` needs is missing, or too small.
         JackLostError: a jack moves too fast to be followed.
         jackbox_env.TaskError: a reward is NaN or infinite.
     """
@@ -174,10 +188,13 @@ def rollout(
     task = None if rewards is None else task_of(rewards, "rewards")
     dt = check.real("dt", dt, above=0.0)
     time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
-    starts, rows = sequences(scenes, several, states, torques)
+    tensors = card.tensors(states, torques) if card.checked(device) else ()
+    host = [one.cpu().numpy() for one in tensors] or [states, torques]
+    starts, rows = sequences(scenes, several, *host)
     options = RolloutOptions(
-        energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole, num_threads=num_threads
-    )
+        energy=energy, impacts=impacts, task=task, repeat=repeat, whole=whole, num_threads=num_threads, device=device,
+        tensors=tensors,
+    )  # fmt: skip
     played = run_rollouts(scenes, starts, rows, dt, time, options)
     return played.trajectories if whole and not (energy or impacts or task) else played
 
@@ -202,6 +219,9 @@ class RolloutOptions(NamedTuple):
     energy: bool = False  # whether the energies are returned
     impacts: bool = False  # whether impacts and impulses are returned
     task: Task | None = None  # whose rewards are returned
+    device: str | None = None  # that plays: None or "cuda"
+    tensors: Sequence[Any] = ()  # states and torques on the device; the results then stay there
+    numbers: Counts | None = None  # of the rows, in errors
 
 
 _PLAIN = RolloutOptions()
@@ -224,6 +244,17 @@ def run_rollouts(
     """
     task, count, steps = options.task, len(torques), torques.shape[1] * options.repeat
     times = _times(time, dt, steps)
+    if options.device:
+
+        def left_rows(rows: Counts) -> Rollout[Any, Any]:
+            own = scenes if len(scenes) == 1 else [scenes[row] for row in rows.tolist()]
+            alone = options._replace(device=None, tensors=(), numbers=rows)
+            return run_rollouts(own, starts[rows], torques[rows], dt, time, alone)
+
+        *fields, left = card.played(scenes, starts, torques, dt, options, left_rows)
+        made: CudaRollout[Any, Any] = CudaRollout(*fields)
+        made.left_to_cpu = left
+        return made
     ranges = count if options.num_threads is not None else min(count, count * steps // FEWEST_PER_THREAD)
     threads = Threads(thread_count(options.num_threads, ranges))
     # Of all numbers of threads, so that they name the same row in errors.
@@ -234,7 +265,7 @@ def run_rollouts(
     score = compiled_for(task, score_block) if task else None
     results = _new_results(scenes, starts, steps, options, tape is not None)
     address = address_of(score, block_scorer)
-    rules = Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, address, 0, 0, PATIENCE)
+    rules = Rules(dt, steps=steps, continue_after_done=True, score=address, patience=PATIENCE)
     controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
@@ -249,13 +280,14 @@ def run_rollouts(
     for ended, row, step, *_ in parts:
         if not ended:
             continue
+        named = f"states[{row if options.numbers is None else options.numbers[row]}]"
         scene, at = scenes[row if len(scenes) > 1 else 0], float(times[step, row if times.shape[1] > 1 else 0])
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
             simulator.reset(blocks[step % 2, row // width, :12, row % width], at)
             failed = simulator.step(dt, torques[row, step // options.repeat])
-            raise bad_reward(task, scene, failed, f"step {step} of states[{row}]")
-        raise failure(ended, scene, at, dt, f"the jack of states[{row}]")
+            raise bad_reward(task, scene, failed, f"step {step} of {named}")
+        raise failure(ended, scene, at, dt, f"the jack of {named}")
     hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:
         log = np.concatenate([new_log(0, True), *(rows for *_, logs in parts for rows in logs)])
@@ -274,9 +306,6 @@ def _new_results(scenes: list[Scene], starts: Array, steps: int, options: Rollou
     """Arrays for the requested results, with the first states; arrays of length 0 for the others."""
     count, scored = len(starts), options.task is not None
     results = Results(
-        observations=NOTHING.observations,
-        reports=NOTHING.reports,
-        returns=NOTHING.returns,
         terminations=np.zeros(count, np.bool_),
         truncations=np.zeros(count, np.bool_),
         rewards=np.zeros((steps if scored else 0, count)),

@@ -17,14 +17,13 @@ from jackbox_env.exact.workspace import (
     BEFORE,
     HELD_SO_FAR,
     JUMPS,
-    NOTHING,
     SCENE_PARAMS,
     SCRATCH,
     TIME,
-    TORQUES,
     WIDTH,
     Call,
     Memory,
+    Results,
     Rules,
     Scenes,
     new_workspaces,
@@ -73,14 +72,14 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     blocks[0, 0, :12, 0], blocks[0, 0, TIME] = state, time
     states, values = np.empty((1, steps + 1, 12)), np.array([scene.numbers])
     states[0, 0] = state
-    results = NOTHING._replace(
+    results = Results(
         terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_), trajectories=states,
         hits=np.zeros((steps, 1), np.int64), impulses=np.zeros((steps, 1)),
     )  # fmt: skip
     calls = [Call(Memory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
     calls[0].prepare(
         Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
-        Rules(dt, steps, math.inf, TORQUES, True, 0, math.inf, 0, 0, 0, PATIENCE),
+        Rules(dt, steps=steps, continue_after_done=True, patience=PATIENCE),
         blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques[:steps])[:, None], results,
     )  # fmt: skip
     ended, _, step, _, logs = run_blocks(compiled(run), calls, 0, 0, 1, Halt())

@@ -50,10 +50,11 @@ class Durations(BaseCallback):
             if buffer.size():
                 raise ValueError(f"Durations must be used from the first step on, got a model of {buffer.size()} steps")
             buffer.__class__ = _ReplayByDuration
-            buffer.gamma, buffer.durations = model.gamma, np.ones_like(buffer.rewards)
+            buffer.durations = np.ones_like(buffer.rewards)
         elif not isinstance(buffer, _RolloutByDuration | _ReplayByDuration):
             needed = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
             raise TypeError(f"Durations needs {needed}, got {kind.__name__}")
+        buffer.gamma = model.gamma  # a loaded buffer has that of another model
         self.training_env.unwrapped.discounted = True  # type: ignore[attr-defined]
 
     def _on_step(self) -> bool:
@@ -65,7 +66,7 @@ class Durations(BaseCallback):
         infos = self.locals["infos"]
         if not isinstance(buffer := getattr(model, "rollout_buffer", None), _RolloutByDuration):
             return True
-        durations = np.array([info["duration"] for info in infos])
+        durations = _durations_of(infos)
         buffer.durations[buffer.pos] = durations
         cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
         if cut:
@@ -74,7 +75,7 @@ class Durations(BaseCallback):
             if "lstm_states" in self.locals:  # of RecurrentPPO
                 memory += [
                     tuple(part[:, cut].contiguous() for part in self.locals["lstm_states"].vf),
-                    torch.zeros(len(cut)),
+                    torch.zeros(len(cut), device=model.device),
                 ]
             with torch.no_grad():
                 values = model.policy.predict_values(last, *memory).cpu().numpy().ravel()
@@ -82,6 +83,14 @@ class Durations(BaseCallback):
             for number in cut:
                 infos[number]["TimeLimit.truncated"] = False  # it is accounted for
         return True
+
+
+def _durations_of(infos: list[dict[str, Any]]) -> Any:
+    """The durations of a decision of each environment [s], shape (environments,)."""
+    try:
+        return np.array([info["duration"] for info in infos])
+    except KeyError as error:
+        raise ValueError("Durations needs environments whose infos have 'duration', got infos without") from error
 
 
 class _RolloutByDuration(RolloutBuffer):
@@ -126,7 +135,7 @@ class _ReplayByDuration(ReplayBuffer):
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:
         """Add a transition of each environment."""
-        self.durations[self.pos] = [info["duration"] for info in infos]
+        self.durations[self.pos] = _durations_of(infos)
         super().add(obs, next_obs, action, reward, done, infos)
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:

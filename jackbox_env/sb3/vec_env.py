@@ -122,7 +122,8 @@ class JackInBoxVecEnv(VecEnv):
             caller = sys._getframe(1)
             while caller.f_back and caller.f_code.co_name in ("step", "step_async"):  # of wrappers
                 caller = caller.f_back
-            if caller.f_code.co_name == "collect_rollouts":  # of a training
+            # of a training whose discount depends on the duration
+            if caller.f_code.co_name == "collect_rollouts" and caller.f_locals["self"].gamma != 1.0:
                 self.discounted = True  # one warning is enough
                 warnings.warn(
                     "decisions of 'bounce' last unequally, and gamma is per decision: learn(n, callback=Durations()) "

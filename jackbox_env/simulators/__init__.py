@@ -1,4 +1,4 @@
-"""Contact models behind one interface, chosen by name."""
+"""Contact models behind one interface, chosen by name; and what an agent observes, does and earns on them."""
 
 from __future__ import annotations
 

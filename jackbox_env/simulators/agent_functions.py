@@ -6,149 +6,30 @@ pymunk they are plain Python, which loads no compiler. A user's functions get th
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
-from weakref import WeakKeyDictionary
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from jackbox_env.model.action import ACTIONS, Action
+from jackbox_env.model.action import ACTIONS
 from jackbox_env.model.observation import (
-    OBSERVATIONS,
-    STATE,
     Observation,
     bad_observation,
     observation_of,
-    observe_named,
 )
-from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, State
-from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
-from jackbox_env.simulators import Impact, Simulator, StepResult, contact_model
+from jackbox_env.model.states import Array
+from jackbox_env.model.tasks import Task, TaskError, checked_reward
+from jackbox_env.simulators import Simulator, StepResult, contact_model
 from jackbox_env.simulators.base import total_impulse
-from jackbox_env.tools import checks as check
-
-if TYPE_CHECKING:
-    from jackbox_env.jit.compiler import UsersFunctions
-
-Seen = NDArray[Any]  # float32, or uint8 pictures
-# What was read and compiled of each user's task, observation or action, as long as that lives.
-_compiled: WeakKeyDictionary[Any, UsersFunctions] = WeakKeyDictionary()
-_ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
-_MANY = 100  # numbers of a function that takes more than seconds to compile
-_NOTHING: Seen = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
-
-
-class Nouns(NamedTuple):
-    """What an agent earns, observes and does."""
-
-    task: Task
-    observation: Observation = STATE
-    action: Action = ACTIONS["torque"]
-    pixels: Pixels | None = None  # observed in place of ``observation``
-
-    @property
-    def builtin(self) -> bool:
-        """Whether none of them has functions of a user, which may fail."""
-        return self.task in TASKS.values() and self.observation in OBSERVATIONS.values() and self.steady
-
-    @property
-    def steady(self) -> bool:
-        """Whether the action has no function of a user."""
-        return self.action in ACTIONS.values()
-
-    @property
-    def space(self) -> gym.spaces.Box:
-        """Of the observations."""
-        pictures = self.pixels and gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
-        return pictures or gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
-
-    def unfilled(self, count: int) -> Seen:
-        """Memory for so many observations."""
-        one, kind = (self.pixels.shape, np.uint8) if self.pixels else ((len(self.observation.names),), np.float32)
-        return np.empty((count, *one), dtype=kind)
-
-
-class ControlStep(NamedTuple):
-    """Results of a control step, or of several with sums."""
-
-    state: Array  # at its end, (12,)
-    time: float  # at its end [s]
-    torque: float  # mean [N m]
-    impacts: Sequence[Impact]
-    impulse: float  # [N s]
-    terms: Sequence[float]  # of the reward
-    reward: float
-    over: bool  # whether it terminates the episode
-    seen: Seen  # observation at its end, or empty
-
-
-_new: Callable[..., ControlStep] = tuple.__new__  # twice as fast as ControlStep(...)
-
-
-class PlainFunctions:
-    """Their functions in a scene, in plain Python."""
-
-    def __init__(self, scene: Scene, nouns: Nouns) -> None:
-        self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
-
-    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
-        """Step a simulator of the scene, score its state, and observe it if it is to be ``seen``.
-
-        The arguments of the step are checked.
-
-        Raises:
-            TypeError: a user's function returns a wrong type.
-            TaskError: the reward is NaN or infinite, or a number of the observation NaN.
-            JackLostError: the jack cannot be followed.
-        """
-        stored, time, mean, impacts = simulator.step_checked(dt, torque)
-        after, impulse = State(*stored), total_impulse(impacts) if impacts else 0.0
-        terms, over = self.score(after, mean, impulse)
-        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else _NOTHING
-        reward = checked_reward(self.nouns.task, terms)
-        return _new(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
-
-    def score(self, after: State, torque: float, impulse: float) -> tuple[Sequence[float], bool]:
-        """After a step: the values of the reward's terms, and whether the episode is over.
-
-        Args:
-            after: the state, of Python's numbers.
-            torque: mean over the step [N m].
-            impulse: of its impacts [N s].
-        """
-        over, task = False, self.nouns.task
-        values = task.values(self._numbers, after, torque, impulse)
-        terms = cast("tuple[float, ...]", values) if self._known else checked_terms(task, values)
-        if task.over is not None:
-            over = task.over(self._numbers, after, torque, impulse)
-            if not isinstance(over, bool | np.bool_):
-                raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
-        return terms, bool(over)
-
-    def observe(self, state: Array, time: float) -> Seen:
-        """The observation of a state, shape (12,), at a time [s].
-
-        Raises:
-            TypeError: the function of a user's observation returns a wrong type.
-            TaskError: a number is NaN.
-        """
-        return observe_named(self._numbers, State(*state.tolist()), time, self.nouns.observation)
-
-    def share(self, state: Array, action: Array, time: float, dt: float) -> float:
-        """The torque over its limit, not clipped; arguments as of ``Action.share``."""
-        return self.nouns.action.share(self._numbers, State(*state.tolist()), action, time, dt)
-
-    def of(self, scene: Scene) -> PlainFunctions:
-        """The same for another scene."""
-        return PlainFunctions(scene, self.nouns)
+from jackbox_env.simulators.plain_functions import (
+    NO_OBSERVATION,
+    ControlStep,
+    Nouns,
+    PlainFunctions,
+    Seen,
+    new_step,
+)
+from jackbox_env.simulators.users_functions import compiled_for
 
 
 class CompiledFunctions:
@@ -159,25 +40,27 @@ class CompiledFunctions:
         self._calls = calls or _calls_of(nouns)
         self._observe, self._share, pack = self._calls
         self._numbers = np.array(scene.numbers)
-        # Written by each step.
+        # Written by each step, at the addresses below.
         self._terms, verdict = np.empty(len(nouns.task.terms)), np.zeros(1, np.int64)
         self._verdict = verdict.data
         self._observation = np.empty(len(nouns.observation.names), np.float32)
         wanted = self._observation[:0], self._observation
-        self._scorings = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
+        packed = [pack(self._numbers, self._terms, verdict, observation) for observation in wanted]
+        self._scorings, self._kept = [address for address, *_ in packed], packed  # the memory at the addresses
 
     def __reduce__(self) -> tuple[Any, ...]:
         return CompiledFunctions, (self._scene, self.nouns)
 
     def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
         """As :meth:`PlainFunctions.step_and_score`, in one call of compiled code."""
-        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[seen][0])
-        if self._verdict[0] < 0:
+        stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[seen])
+        verdict, impulse, terms = self._verdict[0], total_impulse(impacts) if impacts else 0.0, self._terms.tolist()
+        if verdict < 0:
             raise bad_observation(self.nouns.observation, self._observation.tolist())
-        impulse, terms = total_impulse(impacts) if impacts else 0.0, self._terms.tolist()
-        observation, over = self._observation.copy() if seen else _NOTHING, self._verdict[0] > 0
-        reward = checked_reward(self.nouns.task, terms)
-        return _new(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
+        seen_now, reward = self._observation.copy() if seen else NO_OBSERVATION, checked_reward(self.nouns.task, terms)
+        return new_step(
+            ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, verdict > 0, seen_now)
+        )
 
     def observe(self, state: Array, time: float) -> Seen:
         """As :meth:`PlainFunctions.observe`."""
@@ -205,29 +88,6 @@ def make_functions(scene: Scene, nouns: Nouns, contact: str) -> Functions:
         TypeError: a function of a user cannot be compiled, or returns a wrong type.
     """
     return CompiledFunctions(scene, nouns) if contact_model(contact).compiled else PlainFunctions(scene, nouns)
-
-
-def tried(functions: Functions, state: Array, control_dt: float | None = None) -> None:
-    """Evaluate a user's plain functions in a start, without torque and impulse, to see wrong types early.
-
-    Arithmetic errors are ignored, as perhaps no step begins or ends in this state. With a ``control_dt`` [s] the action
-    that is nearest to zeros is tried too. Types of compiled functions are known when they are compiled.
-
-    Raises:
-        TypeError: a function returns a wrong type.
-    """
-    if isinstance(functions, CompiledFunctions):
-        return
-    with suppress(*_ARITHMETIC):
-        functions.score(State(*state.tolist()), 0.0, 0.0)
-    if control_dt is None:
-        return
-    with suppress(*_ARITHMETIC, TaskError):
-        functions.observe(state, 0.0)
-    action = functions.nouns.action
-    if action is not ACTIONS["torque"]:
-        with suppress(*_ARITHMETIC):
-            functions.share(state, action.checked(np.zeros(action.size) if action.size else 0)[:, 0], 0.0, control_dt)
 
 
 def bad_reward(task: Task, scene: Scene, step: StepResult, where: str) -> TaskError:
@@ -279,125 +139,3 @@ def _calls_of(nouns: Nouns) -> tuple[Any, ...]:
         return compiled(pack_scoring)(memory, *everything), memory, arrays, observe, score
 
     return observe, act, pack
-
-
-def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of ``exact.score`` for a task, observation or action, whose functions are read at its first use.
-
-    Raises:
-        TypeError: a function of a user cannot be compiled, or returns a wrong type.
-    """
-    from jackbox_env.jit.compiler import UsersFunctions, compiled
-
-    substitutes = _SUBSTITUTES[type(owner)]
-    if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
-        return compiled(function, **substitutes(owner, None))
-    if owner not in _compiled:
-        _compiled.setdefault(owner, UsersFunctions(partial(substitutes, owner)))
-    return _compiled[owner].entry(function)
-
-
-def _of_task(task: Task, users: UsersFunctions | None) -> dict[str, Any]:
-    """Substitutes for the placeholders of ``exact.score``, whose functions return the right types.
-
-    ``users`` reads and compiles them; None if they are of this package.
-
-    Raises:
-        TypeError: they do not, or cannot be compiled.
-    """
-    if users is None:
-        return {"task_terms": task.values}
-    count, further = len(task.terms), (0.0, 0.0)
-    numbers = (bool, float) if count == 1 else ()
-    what = f"a tuple of {count} numbers, one for each term"
-    _check_returned(users, task, task.values, further, what, (float,) * count, *numbers)
-    if task.over is None:
-        return {"task_terms": task.values}
-    _check_returned(users, task, task.over, further, "True or False", bool)
-    return {"task_terms": task.values, "task_over": task.over}
-
-
-def _of_observation(observation: Observation, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an observation."""
-    from jackbox_env.exact.score import observe_landing, observe_values
-
-    if users is None:
-        return {} if observation is STATE else {"observe": observe_landing}
-    count = len(observation.names)
-    what = f"a tuple of {count} numbers, one for each name"
-    _check_returned(users, observation, observation.values, (0.0,), what, (float,) * count)
-    low, high = (bound.astype(np.float64) for bound in observation.bounds)
-    return {"observe": observe_values, "observation_values": observation.values, "LOW": low, "HIGH": high}
-
-
-def _of_action(action: Action, users: UsersFunctions | None) -> dict[str, Any]:
-    """The same for an action."""
-    from jackbox_env.exact.score import choice_in, pair_in, tuple_in
-
-    read = choice_in if not action.size else pair_in if users is None else tuple_in(action.size)
-    if users is not None:
-        example: Any = (0.0,) * action.size or 0
-        _check_returned(users, action, action.torque, (example, 0.0, 0.0), "a number", bool, float)
-    return {"action_torque": action.torque, "action_in": read}
-
-
-_SUBSTITUTES: dict[type, Callable[[Any, UsersFunctions | None], dict[str, Any]]] = {
-    Task: _of_task, Observation: _of_observation, Action: _of_action,
-}  # fmt: skip
-
-
-def _check_returned(
-    users: UsersFunctions, owner: Any, function: Any, further: tuple[Any, ...], requirement: str, *allowed: Any
-) -> None:
-    """Check that a function of a user's task, observation or action can be compiled and returns what is ``allowed``.
-
-    For these and ``further`` see ``UsersFunctions.returned_by``. Under NUMBA_DISABLE_JIT nothing is checked.
-
-    Raises:
-        TypeError: it returns something else, or cannot be compiled.
-    """
-    from jackbox_env.jit.compiler import is_disabled
-
-    if is_disabled():
-        return
-    name = f"the {type(owner).__name__.lower()}'s function {function.__qualname__}"
-    if isinstance(allowed[0], tuple) and len(allowed[0]) > _MANY:
-        print(f"jackbox compiles {name}, in each process anew ({len(allowed[0])} numbers)", file=sys.stderr, flush=True)
-    try:
-        returned, named = users.returned_by(function, further)
-    except Exception as error:
-        raise TypeError(
-            f"{name} cannot be compiled, as contact='exact' needs: {_reason(error)}{_without_numpy(function)}"
-            f"{_without_compiling(owner)}"
-        ) from error
-    if returned not in allowed:
-        raise TypeError(f"{name} must return {requirement}, got what numba calls {named}")
-
-
-def _without_compiling(owner: Task | Observation | Action) -> str:
-    """The advice if pymunk's environments accept what cannot be compiled; else empty."""
-    nouns = Nouns(TASKS["juggle"])._replace(**cast(Any, {type(owner).__name__.lower(): owner}))
-    try:
-        tried(PlainFunctions(Scene(), nouns), np.zeros(12), 0.02)
-    except Exception:
-        return ""
-    return "; environments with fidelity='balanced' run it"
-
-
-def _without_numpy(function: Callable[..., Any]) -> str:
-    """The advice if a function uses numpy; else empty."""
-    modules = (function.__globals__.get(name) for name in function.__code__.co_names)
-    used = any(getattr(module, "__name__", "").split(".")[0] == "numpy" for module in modules)
-    return "; write it without numpy, with single numbers and math" if used else ""
-
-
-def _reason(error: Exception) -> str:
-    """The line of numba's error that has the reason."""
-    if isinstance(error, RecursionError):
-        return "its functions call one another too deeply"
-    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
-    if "NRT required" in text:
-        return "it makes an array, a list or a dict; use single numbers"
-    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("Failed in")]
-    called = [line for line in lines[1:3] if line.startswith(">>>")]  # the call that it does not know
-    return " ".join([*lines[:1], *called])[:200] or type(error).__name__

@@ -197,7 +197,9 @@ class Simulator(ABC):
         """The result of a step from the present state, which :meth:`step` then makes the present one.
 
         A contact model implements it and changes nothing that a later step depends on. ``step`` has checked the
-        arguments; ``state`` and ``time`` are those before the step. The result's state is never written again.
+        arguments; ``state`` and ``time`` are those before the step. A model whose :meth:`snapshot` copies the state may
+        write the result's state again two steps later. A ``compiled`` model takes ``scoring`` too, see
+        :meth:`step_checked`.
 
         Raises:
             JackLostError: the jack would leave the box, or cannot be followed.

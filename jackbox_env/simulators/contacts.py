@@ -18,10 +18,11 @@ _ROUNDING = 1e-16
 
 
 class Recorder:
-    """The engine calls it after it solved a contact, once per substep while the contact lasts.
+    """A record of the impulses in a step.
 
-    It does not refer to the simulator, so that spaces are freed as soon as they are replaced. The engine prints and
-    drops an error raised in here, so the error is stored for :meth:`check`.
+    The engine calls it after it solved a contact, once per substep while the contact lasts. It does not refer to the
+    simulator, so that spaces are freed as soon as they are replaced. The engine prints and drops an error raised in
+    here, so the error is stored for :meth:`check`.
     """
 
     def __init__(self) -> None:

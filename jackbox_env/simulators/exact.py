@@ -24,12 +24,11 @@ Bits: the same on every x86-64 CPU and under Linux on ARM, whatever the C librar
     (``geometry.py``).
     Three things depend on the C library: functions of a drive that call it (``math.sin``), the cosine of an angle
     beyond 2^53 rad, and whether a state at the limit of valid ones raises ValueError.
-Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/search.py``.
+Reference: Lygeros et al. 2003, "Dynamical properties of hybrid automata"; the bound is in ``exact/bounds.py``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import cast
@@ -45,13 +44,12 @@ from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
-    NOTHING,
     SCENE_PARAMS,
     TIME,
     TORQUE,
-    TORQUES,
     WIDTH,
     Call,
+    Results,
     Rules,
     Scenes,
     Status,
@@ -201,12 +199,11 @@ class ExactSimulator(Simulator):
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
         numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
         scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
-        rules = Rules(dt, 1, math.inf, TORQUES, False, 0, math.inf, 0, 0, 0, math.inf)
         controls = self._controls if held else np.zeros((0, 0))
-        results = NOTHING._replace(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
+        results = Results(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
         self._prepared = [None, None]
         for into, call in enumerate(self._calls):
-            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, results)
+            call.prepare(scenes, Rules(dt), self._blocks[1 - into], self._blocks[into], controls, results)
         if not self._cut[held]:
             self._prepared[held] = dt
 

@@ -24,9 +24,9 @@ import jackbox_env
 from jackbox_env import Scene
 from jackbox_env.commands.game import FARTHEST, LONGEST, MOST_SECONDS, VERSION
 from jackbox_env.commands.play import PAGE
-from jackbox_env.exact.restart import seeded
+from jackbox_env.exact.pcg64 import seeded
 from jackbox_env.exact.workspace import new_workspaces
-from jackbox_env.jit.compiler import cache_folders
+from jackbox_env.jit.folders import cache_folders
 from jackbox_env.model.action import ACTIONS, repeat_of
 from jackbox_env.model.scene import BOUNDS, SceneNumbers
 from jackbox_env.model.states import START_TOLERANCE, STATE_NAMES

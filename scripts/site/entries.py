@@ -13,8 +13,8 @@ from numba.np.arrayobj import get_cfarray_intrinsic
 
 from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.flight import TABLE_WIDTH
-from jackbox_env.exact.rest import settle_and_advance
-from jackbox_env.exact.restart import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK_INERTIA, JACK_MASS, restart_blocks
+from jackbox_env.exact.late import settle_and_advance
+from jackbox_env.exact.pcg64 import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK_INERTIA, JACK_MASS, restart_blocks
 from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 from numba.core import codegen, cpu
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
 from jackbox_env.jit.compiler import intermediate_code
@@ -81,10 +80,8 @@ def module_of(exports: Mapping[str, Export]) -> bytes:
     """A WebAssembly module that exports these functions by name."""
     linked = llvm.parse_assembly("")
     for name, export in exports.items():
-        library, function = intermediate_code(export.function, export.arguments, **export.substitutes)
-        with global_compiler_lock:
-            library._ensure_finalized()
-        module = library._final_module.clone()
+        code, function = intermediate_code(export.function, export.arguments, **export.substitutes)
+        module = llvm.parse_assembly(code)
         module.get_function(function).name = name
         for variable in module.global_variables:
             if not variable.is_declaration:

@@ -5,30 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents.evaluation.film import film
 from agents.evaluation.returns import Returns, above, evaluate, table
-from agents.policies.registry import SCRIPTED, find_policy
+from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
 from scripts import train as train_command
 
 # -- scripted policies -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", SCRIPTED)
-def test_baselines_predict_as_stable_baselines3_does(name: str) -> None:
-    policy, more = find_policy(name, EnvSettings())
-    env = gym.make("JackInBox-v0", **more)
-    observation, _ = env.reset(seed=0)
-    assert policy.predict(observation, None, np.array([True]), True)[0] in env.action_space
-    actions, _ = policy.predict(np.stack([observation] * 5))
-    assert (actions.shape, actions.dtype) == ((5, 1), np.float32)
-    mean, _ = evaluate_policy(policy, env, n_eval_episodes=1, warn=False)
-    assert 0.0 < float(mean) < 500.0  # type: ignore[arg-type]
 
 
 def test_level_answers_angle_and_rate() -> None:

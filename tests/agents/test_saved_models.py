@@ -25,7 +25,7 @@ from agents.policies.registry import find_policy
 from agents.settings import EnvSettings, TrainSettings
 from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env import Action, Drive, Observation, Scene, Task
-from jackbox_env.sb3 import make_sb3_vec_env, save_model
+from jackbox_env.sb3 import Durations, make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
 from tests.script import script
 
@@ -56,7 +56,7 @@ def trained(envs: VecEnv, steps: int = 64) -> PPO:
     model = PPO("MlpPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, learning_rate=0.0, seed=0, device="cpu")
     network: Any = model.policy.action_net
     network.weight.data *= 100.0
-    return model.learn(steps)
+    return model.learn(steps, callback=Durations())
 
 
 def recurrent(envs: VecEnv) -> Any:

@@ -18,7 +18,7 @@ from agents.runners import in_turn
 from agents.sweep import TABLE, Code, carry_out, code_named, grid, new_sweep, run_trial
 from agents.sweep_ray import runner_for
 from agents.user_code import texts_of
-from jackbox_env.jit import compiler
+from jackbox_env.jit import folders
 from tests.agents.small_run import TINY
 from tests.agents.test_sweep import MINE, carried_out
 
@@ -65,7 +65,7 @@ def test_policies_trainings_and_users_code_give_the_same_table_as_in_one_process
 
 
 def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, cluster: Any) -> None:
-    node, here = cluster.add_node(num_cpus=1), compiler.cache_folders()[-1]
+    node, here = cluster.add_node(num_cpus=1), folders.cache_folders()[-1]
     killed, there = node.node_id, sorted(os.listdir(here))
 
     def hanging(settings: dict[str, Any]) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def test_a_worker_and_a_node_killed_in_the_middle_lose_nothing(tmp_path: Path, c
             if what == "worker":
                 os.kill(os.getpid(), signal.SIGKILL)
             time.sleep(250.0)
-        sent = compiler.cache_folders()[-1]
+        sent = folders.cache_folders()[-1]
         assert sent != here
         assert sorted(os.listdir(sent)) == there
         return {"share": settings["number"] / 7.0}

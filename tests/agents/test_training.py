@@ -158,5 +158,19 @@ def test_a_training_with_decisions_of_unequal_durations_is_warned_of_it_once() -
     assert len(seen) == 1
 
 
+def test_a_training_without_a_discount_is_not_warned_of_durations() -> None:
+    make_ppo(replace(FLOATING, gamma=1.0), make_vec_env(FLOATING.env_settings, 4, 0)).learn(48)
+
+
+def test_a_loaded_replay_buffer_is_discounted_by_the_model_that_loads_it(tmp_path: Path) -> None:
+    for gamma in (0.8, 0.5):
+        model: Any = SAC("MlpPolicy", DummyVecEnv([Bandit]), gamma=gamma, device="cpu")
+        if gamma == 0.5:
+            model.load_replay_buffer(tmp_path / "buffer.pkl")
+        model.learn(9, callback=Durations())
+        model.save_replay_buffer(tmp_path / "buffer.pkl")
+    assert (model.replay_buffer.sample(9).discounts <= 0.5).all()  # at least 0.8**3 by the first gamma
+
+
 def test_settings_with_a_setting_that_went_are_read() -> None:
     assert TrainSettings.of({**asdict(TINY), "max_minutes": None}) == TINY

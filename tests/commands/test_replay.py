@@ -172,41 +172,30 @@ HINT = "`jackbox play --out FILE` writes a copy to send.\n"
 
 
 @pytest.mark.parametrize("opens", [True, False])
-def test_play_opens_its_page_or_says_that_it_cannot(
+def test_play_opens_its_page_or_says_that_it_cannot_and_writes_a_new_file(
     opens: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    opened: list[str] = []
+    def printed(*words: str) -> tuple[str, str]:
+        monkeypatch.setattr(sys, "argv", ["jackbox play", *words])
+        play.main()
+        return capsys.readouterr()
 
     def show(address: str) -> bool:
         opened.append(address)
         return opens
 
+    opened, page, copy = list[str](), tmp_path / "a b.html", tmp_path / "copy.html"
     monkeypatch.setattr(webbrowser, "open", show)
-    monkeypatch.setattr(play, "PAGE", tmp_path / "a b.html")
-    monkeypatch.setattr(sys, "argv", ["jackbox play"])
+    monkeypatch.setattr(play, "PAGE", page)
     with pytest.raises(SystemExit):
-        play.main()
+        printed()
     assert "built without its page" in capsys.readouterr().err
-    play.PAGE.touch()
-    play.main()
-    monkeypatch.setattr(sys, "argv", ["jackbox play", "--no-browser"])
-    play.main()
+    page.write_text("the page")
+    out, err = printed()
+    assert (out, "No browser" in err, HINT in err) == (f"Opening {page}\n", not opens, True)
+    assert printed("--no-browser")[0] == f"{page}\n"
+    assert (printed("--out", str(copy)), copy.read_text()) == ((f"{copy}\n", ""), "the page")
     assert opened == [f"{tmp_path.as_uri()}/a%20b.html"]
-    out, err = capsys.readouterr()
-    assert (out, "No browser" in err) == (f"Opening {play.PAGE}\n{play.PAGE}\n", not opens)
-    assert HINT in err
-
-
-def test_play_writes_a_new_file_and_opens_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy = tmp_path / "a b.html"
-    monkeypatch.setattr(webbrowser, "open", lambda address: pytest.fail(f"{address} is opened"))
-    monkeypatch.setattr(play, "PAGE", tmp_path / "play.html")
-    play.PAGE.write_text("the page")
-    monkeypatch.setattr(sys, "argv", ["jackbox play", "--out", str(copy)])
-    play.main()
-    assert (capsys.readouterr(), copy.read_text()) == ((f"{copy}\n", ""), "the page")
 
 
 def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(

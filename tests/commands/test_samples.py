@@ -13,7 +13,6 @@ import pytest
 
 from jackbox_env import Chirp, Drive, Scene, make_simulator
 from jackbox_env.mechanics import gaps
-from jackbox_env.recording.files import write_csv
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import write_page
 from jackbox_env.recording.recorder import Recorder
@@ -82,13 +81,6 @@ def test_held_torques_are_shown_as_they_were_held() -> None:
     np.testing.assert_allclose(samples.energies, samples.work, atol=1e-9)
 
 
-def test_an_early_end_without_a_step_is_one_sample(tmp_path: Path) -> None:
-    motion = Motion(Recorder(Scene(), 0.02, np.zeros(12), 2.0).record(RuntimeError("why")))
-    samples = samples_of(motion)
-    assert samples.times.tolist() == [2.0]
-    assert write_csv(motion.tables(), tmp_path / "states.csv", tmp_path / "impacts.csv")[0].read_text().count("\n") == 2
-
-
 # -- the page as a file ------------------------------------------------------------------------------------------------
 
 
@@ -126,17 +118,6 @@ def test_the_page_has_every_stored_state_to_the_last_bit_and_nothing_from_elsewh
     assert not re.search(r"https?:|//\w+\.\w", page.read_text())  # nothing is fetched from elsewhere
     with pytest.raises(FileExistsError):
         write_page(page, motion, "a test", [])
-
-
-def test_a_page_of_very_many_impacts_lists_the_first_and_notes_it(tmp_path: Path) -> None:
-    scene = Scene(restitution=0.2, drive=None)
-    motion = run(scene, 60.0, 0.005, contact="exact")
-    page = write_page(tmp_path / "page.html", motion, "a test", [])
-    data = data_of(page)
-    names, listed, _ = data["notes"]
-    assert "Wall 0 is on the right" in names
-    assert f"2,000 of {len(motion.impacts):,} " in listed
-    assert impacts_of(data) == motion.hits
 
 
 @pytest.mark.parametrize(

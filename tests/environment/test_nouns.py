@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import Action, Drive, JackInBoxEnv, Observation, Scene
+from jackbox_env import Drive, JackInBoxEnv, Scene
 from jackbox_env.model.action import Repeats
 from jackbox_env.model.observation import observation_of, observe
 from jackbox_env.simulators.agent_functions import observed
@@ -119,29 +119,6 @@ def test_a_drive_is_not_needed_after_the_last_step_of_a_decision() -> None:
         alike.step(random.Random(0))
 
 
-def test_landing_features_foretell_a_free_flight() -> None:
-    rng, scene = np.random.default_rng(0), Scene(drive=None)
-    env = JackInBoxEnv(contact="exact", scene=scene)
-    for _ in range(20):
-        state = np.zeros(12)
-        state[[2, 3, 4, 5]] = rng.uniform([-0.3, -0.5, -1.0, -9.0], [0.3, 0.5, 1.0, 9.0])
-        state[[6, 7, 8, 9, 10, 11]] = rng.uniform(-0.4, 0.4, 6)
-        features = observe(scene, state.tolist(), 0.0, observation_of("landing"))[10:]
-        time = 2.0 * float(features[0]) * scene.box_half_width / scene.speed_scale
-        env.set_state(state)
-        for _ in range(int(0.9 * time / 0.02)):  # a tilted floor may be met earlier
-            later = env.step(0.0)[4]["state"]
-        rest = time - env.time
-        x, y = (later[3 + k] - later[k] + rest * (later[9 + k] - later[6 + k]) for k in (0, 1))
-        assert y - 0.5 * 9.81 * rest * rest == pytest.approx(-5.0, abs=1e-5)
-        box, jack = later[2] + rest * later[8], later[5] + rest * later[11]
-        angles = [4.0 * (jack - box), 8.0 * (jack - box), 4.0 * jack]
-        expected = [part for angle in angles for part in (math.cos(angle), math.sin(angle))]
-        fall = -(later[10] - later[7] - 9.81 * rest) / scene.speed_scale
-        expected += [x / 6.0, fall, state[11] * time / (0.5 * math.pi), box]
-        np.testing.assert_allclose(features[1:], expected, atol=2e-5)
-
-
 def test_observations_of_many_states_are_those_of_each_up_to_rounding() -> None:
     rng, scene = np.random.default_rng(1), Scene(box_half_width=3.0, gravity=3.7)
     states = np.array([inside(scene, rng) for _ in range(200)])
@@ -152,16 +129,6 @@ def test_observations_of_many_states_are_those_of_each_up_to_rounding() -> None:
         np.testing.assert_allclose(many, one, atol=3e-7 if name != "landing" else 2e-6)
         low, high = observation_of(name).bounds
         assert ((many >= low) & (many <= high)).all()
-
-
-@EVERY_MODEL
-def test_bools_count_as_numbers(contact: str) -> None:
-    above = Observation(("a", "b"), 0, 1, lambda scene, state, time: (state.y_jack > 0.0, state.x_jack > 9.0))
-    right = Action(gym.spaces.Box(-1, 1, (1,)), lambda scene, state, action, time, dt: state.x_jack > -9.0)
-    env = JackInBoxEnv(contact=contact, observation=above, action=right)
-    env.reset(options={"state": np.eye(12)[4]})
-    seen, *_, info = env.step(0.0)
-    assert (seen.tolist(), info["torque"]) == ([1.0, 0.0], pytest.approx(90000.0))
 
 
 def test_decisions_that_last_longer_than_drives_are_read_ahead_are_those_of_single_environments() -> None:

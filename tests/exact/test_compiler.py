@@ -16,10 +16,11 @@ from numba.core.registry import cpu_target
 
 from jackbox_env.exact import run
 from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
-from jackbox_env.exact.restart import fresh, packed, seeded, uniform
-from jackbox_env.exact.threads import Threads
+from jackbox_env.exact.pcg64 import fresh, packed, seeded, uniform
 from jackbox_env.jit import compiler
 from jackbox_env.jit.compiler import compiled
+from jackbox_env.model.landing import QUARTER
+from jackbox_env.model.scene import remainder
 
 
 def test_packed_arguments_have_room() -> None:
@@ -61,6 +62,13 @@ ANGLES = {
         *(RNG.integers(10**4, 10**12, 300) * _TURNS), np.nextafter(FARTHEST, 0.0), np.nextafter(LARGEST, 0.0),
     ],
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(("divisor", "largest"), [(_TURNS, 2.0**53), (QUARTER, 2.0**53), (3.0, 3.0 * 2.0**53)])
+def test_a_remainder_has_the_bits_of_the_c_librarys(divisor: float, largest: float) -> None:
+    multiples = np.floor(2.0 ** RNG.uniform(0.0, 45.0, 2000)) * divisor
+    for number in (*2.0 ** RNG.uniform(-3.0, math.log2(largest), 4000), *multiples, *np.nextafter(multiples, 0.0), 0.0):
+        assert compiled(remainder)(number, divisor) == math.fmod(number, divisor) == remainder(number, divisor)
 
 
 @pytest.mark.parametrize(("kind", "ulps"), [("to the last place", 1.0), ("after many turns", 1.2)])
@@ -105,18 +113,3 @@ def test_unseeded_generators_differ_and_are_sound() -> None:
 
 
 # -- threads ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7])
-@pytest.mark.parametrize("total", [7, 1000])
-def test_threads_share_out_everything_once(count: int, total: int) -> None:
-    seen = np.zeros(total, dtype=np.int64)
-
-    def work(number: int, low: int, high: int) -> tuple[int, int]:
-        seen[low:high] += 1
-        return number, low
-
-    numbers, lows = zip(*Threads(count).run(work, total, grain=3), strict=True)
-    assert set(numbers) <= set(range(count))
-    assert (seen == 1).all()
-    assert (np.diff(lows) >= 3).all()

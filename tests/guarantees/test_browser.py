@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene
 from jackbox_env.exact.geometry import _QUARTER_HIGH
-from jackbox_env.exact.restart import seeded, unpacked
+from jackbox_env.exact.pcg64 import seeded, unpacked
 from jackbox_env.model.tasks import TASKS, sample_start
 from scripts.site.build import HERE, ROOT, ensure_page
 from scripts.site.entries import MOST_IMPACTS

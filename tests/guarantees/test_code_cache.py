@@ -19,7 +19,7 @@ from numba.core.codegen import JITCPUCodegen
 
 import jackbox_env
 from jackbox_env.exact.geometry import cos_sin, cos_sin_within, quarter
-from jackbox_env.jit import code_cache, compiler
+from jackbox_env.jit import code_cache, compiler, folders
 from tests.test_architecture import _graph, _sources
 
 TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
@@ -29,7 +29,7 @@ TURN = (0.8, 0.6, 1), (-0.6, 0.8)  # arguments and result of ``quarter``
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The first folder for compiled code, empty; the others are next to it."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "place"))
-    monkeypatch.setattr(compiler, "PACKAGE", tmp_path / "package")
+    monkeypatch.setattr(folders, "PACKAGE", tmp_path / "package")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     code_cache.warn_once.cache_clear()
     return tmp_path / "place"
@@ -129,11 +129,11 @@ def test_a_folder_that_can_only_be_read_is_read(cache: Path, monkeypatch: pytest
     monkeypatch.setattr(os, "access", lambda where, mode: cache not in Path(where).parents)
     assert turned() == 1
     assert fresh(cos_sin)(1.0) == cos_sin(1.0)  # not cached there, and cached in the next folder
-    assert len(files(cache)) == len(files(compiler.PACKAGE / "__pycache__")) == 1
+    assert len(files(cache)) == len(files(folders.PACKAGE / "__pycache__")) == 1
 
 
 def test_the_first_writable_folder_is_used_and_a_warning_says_that_there_is_none(cache: Path) -> None:
-    for unusable in (cache, compiler.PACKAGE, cache.parent / "home"):
+    for unusable in (cache, folders.PACKAGE, cache.parent / "home"):
         assert turned() == 0
         assert len(list(unusable.rglob("*.kept"))) == 1
         shutil.rmtree(unusable)
@@ -164,7 +164,7 @@ def shipped(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: (NEWER[0], code_cache.SHIPPED_FOR, ""))
     assert turned() == 0
     (path,) = files(cache)
-    moved = compiler.PACKAGE / "exact" / "shipped" / path.parent.name
+    moved = folders.PACKAGE / "exact" / "shipped" / path.parent.name
     shutil.move(path.parent, moved)
     monkeypatch.setattr(JITCPUCodegen, "magic_tuple", lambda self: NEWER)
 
@@ -199,10 +199,10 @@ def test_shipped_code_that_does_not_fit_is_not_loaded(
 
 
 def test_a_change_in_what_compiled_code_comes_from_gives_new_code_and_none_elsewhere(tmp_path: Path) -> None:
-    package, folder_name, changing = tmp_path / "jackbox_env", compiler._folder_name.__wrapped__, set[str]()
+    package, folder_name, changing = tmp_path / "jackbox_env", folders.folder_name.__wrapped__, set[str]()
     shutil.copytree(Path(jackbox_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     before = folder_name(package)
-    assert before == compiler._folder_name()
+    assert before == folders.folder_name()
     for path in package.rglob("*.py"):
         source = path.read_text()
         path.write_text(f"{source}CHANGED = 1\n")
@@ -211,7 +211,7 @@ def test_a_change_in_what_compiled_code_comes_from_gives_new_code_and_none_elsew
         path.write_text(source)
     assert {"jackbox_env.exact.run", "jackbox_env.model.tasks", "jackbox_env.render.raster"} < changing
     assert set[str]().union(*map(_graph(_sources()).__getitem__, changing)) <= changing  # constants come from there too
-    assert {module.split(".")[1] for module in changing} == {"tools", "model", "jit", "exact", "render"}
+    assert {module.split(".")[1] for module in changing} == {"tools", "model", "jit", "exact", "gpu", "render"}
     assert "jackbox_env.render.renderer" not in changing
 
 

@@ -27,7 +27,7 @@ from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 
 PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
-STEPS = 120  # counted
+STEPS = 60  # counted
 SIDE_BY_SIDE = 6  # environments in a batch that is counted
 _START = [0.0] * 3 + [0.5, 0.2, 0.3] + [0.0] * 3 + [6.0, -4.0, 2.0]  # the jack moves, so that it bounces also unweighed
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from jackbox_env.exact import rest, search
+from jackbox_env.exact import late, rest, search
 from jackbox_env.mechanics import gaps
 from jackbox_env.model.complementarity import project
 from jackbox_env.model.scene import Drive, Scene
@@ -46,7 +46,7 @@ def test_a_wall_that_falls_faster_than_the_jack_lets_it_go_and_not_before(
 def test_without_rest_a_step_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(restitution=0.5, drive=None)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] == 0
-    monkeypatch.setattr(rest, "settle", lambda *arguments: 0)
+    monkeypatch.setattr(late, "settle", lambda *arguments: 0)
     for module in (search, rest):
         monkeypatch.setattr(module, "MOST_WORK", 2000)
     assert plain_step(scene, lying(), 1e-3, 0.0)[0] != 0

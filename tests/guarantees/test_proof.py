@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from flint import arb, ctx, fmpq
 
-from jackbox_env.exact import search
+from jackbox_env.exact import bounds, search
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.simulators import Impact
 from tests import proof, proving
@@ -150,11 +150,11 @@ def test_a_search_with_a_tenth_of_its_bound_is_refuted(monkeypatch: pytest.Monke
             for case, (_, after, hits) in runs
         ]
 
-    def brazen(*arguments: Any) -> search.Bounds:
+    def brazen(*arguments: Any) -> bounds.Bounds:
         far, centre, foot = honest(*arguments)
-        return search.Bounds(far, 0.1 * centre, 0.1 * foot)
+        return bounds.Bounds(far, 0.1 * centre, 0.1 * foot)
 
-    steps, honest = with_impacts(1000), search.bounds_of
+    steps, honest = with_impacts(1000), bounds.bounds_of
     assert judged(played()).refuted == []
     monkeypatch.setattr(search, "bounds_of", brazen)
     assert len(judged(played()).refuted) > 0.2 * len(steps)

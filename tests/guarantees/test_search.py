@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from jackbox_env.exact import bounds
 from jackbox_env.exact import flight as motion
 from jackbox_env.exact import search as kernel
 from jackbox_env.exact.workspace import Status, new_workspaces
@@ -57,12 +58,12 @@ def test_the_bounds_hold_over_the_whole_flight() -> None:
         if number % 2:  # thrown up and back again: its ends show nothing of the path between
             state[6:9], state[10] = 0.0, 0.5 * scene.gravity * duration
         flight = motion.flight_of(n, state, motion.constant_piece(duration, alpha), 0.0)
-        bound = kernel.bounds_of(n, flight, duration, abs(alpha), 0.0)
+        bound = bounds.bounds_of(n, flight, duration, abs(alpha), 0.0)
         times, step = np.linspace(0.0, duration, 41, retstep=True)
         for time in times.tolist():
             frame = motion.view_at(flight, w, time).frame
             distance = math.hypot(frame.x, frame.y)
-            assert distance <= min(bound.far, kernel.reach_of(n, flight, duration, 0.0))
+            assert distance <= min(bound.far, bounds.reach_of(n, flight, duration, 0.0))
             tightest = min(tightest, bound.far - distance)
         for wall, foot in rng.integers(0, 4, (4, 2)).tolist():
             gaps = [motion.gap_at(n, flight, w, wall, foot, time)[0] for time in times.tolist()]
@@ -104,8 +105,8 @@ def test_the_bounds_of_a_fast_box_hold_until_the_first_impact(deep: bool) -> Non
         outermost = scene.box_half_width - min(
             motion.gap_at(n, flight, work, wall, foot, 0.0)[0] for wall in range(4) for foot in range(4)
         )
-        curvature = kernel.curvature_to_impact(n, flight, duration, piece.max_angular_acceleration, 0.0, outermost)
-        away, back = kernel.inside(n, flight, duration, 0.0)
+        curvature = bounds.curvature_to_impact(n, flight, duration, piece.max_angular_acceleration, 0.0, outermost)
+        away, back = bounds.inside(n, flight, duration, 0.0)
         for wall, foot in ((0, 0), (1, 3), (2, 1)):
             h = until / 60.0
             times = h * np.arange(61)

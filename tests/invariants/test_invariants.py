@@ -77,12 +77,11 @@ def test_a_jack_of_any_speed_stays_in_the_box_or_is_refused(contact: str, cases:
                 seen["refused"] += 1
                 return
             assert_contained(case, simulator)
-            seen["impacts"] += len(simulator.impacts)
 
     stays_or_is_refused()
     # Hypothesis also draws constants of the modules that happen to be loaded, so few cases may have no refusal.
     assert seen["refused"] >= 0.02 * seen["cases"] - 1.0, seen
-    assert seen["impacts"] >= 1, seen
+    assert examine(Case(Scene(), contact, None, 0.02, (*[0.0] * 9, 100.0, 0.0, 0.0), 0.0, (0.0,) * 3))["impacts"] > 0
 
 
 # -- broken on purpose -------------------------------------------------------------------------------------------------

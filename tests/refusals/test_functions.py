@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from operator import attrgetter
 from typing import Any
@@ -150,8 +151,7 @@ TASKS = [
         Refusal(
             lambda _, make=make, case=case: make(contact=case[0], task=Task(("a", "b"), case[1])), TypeError, case[2]
         )
-        for case in UNFIT
-        for make in MAKERS
+        for case, make in zip(UNFIT, itertools.cycle(MAKERS), strict=False)
     ),
     *(
         Refusal(

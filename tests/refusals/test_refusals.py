@@ -118,7 +118,9 @@ UNCHECKED = {
     "impact_maps", "energy_of", "clearance", "deepest_restored", "start_tolerance", "refuse_no_scene",
 }  # fmt: skip
 # Gymnasium checks it, or there is no end to what is right.
-ELSEWHERE = {"JackInBoxEnv.reset": {"seed"}, "Motion.save": {"path"}, "Motion.to_frame": {"table"}}
+ELSEWHERE = {
+    "JackInBoxEnv.reset": {"seed"}, "Motion.save": {"path"}, "Motion.to_frame": {"table"}, "rollout": {"device"},
+}  # fmt: skip
 
 
 def parameters(function: Any) -> set[str]:

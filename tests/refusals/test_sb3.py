@@ -60,11 +60,15 @@ def monitored() -> Any:
 REPLAY = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
 
 
-def learn(algorithm: Any, first: Any = True, again: Any = True, **more: Any) -> None:
+OTHER = "Pendulum-v1"
+WITHOUT = "Durations needs environments whose infos have 'duration', got infos without"
+
+
+def learn(algorithm: Any, first: Any = True, again: Any = True, envs: Any = None, **more: Any) -> None:
     """Train twice, with Durations unless it is None."""
     of_ppo = {"n_steps": 9, "batch_size": 9, "n_epochs": 1} if algorithm is PPO else {}
     policy = "MlpPolicy" if algorithm is not ARS else "LinearPolicy"
-    model = algorithm(policy, make_sb3_vec_env(1, contact="exact"), device="cpu", **of_ppo, **more)
+    model = algorithm(policy, envs or make_sb3_vec_env(1, contact="exact"), device="cpu", **of_ppo, **more)
     for callback in (first, again):
         model.learn(9, callback=callback and Durations())
 
@@ -178,6 +182,8 @@ LEARNING = [
             (SAC, {"first": None}, ValueError, "Durations must be used from the first step on, got a model of 9 steps"),
             (SAC, {"n_steps": 2}, TypeError, f"Durations needs {REPLAY}, got NStepReplayBuffer"),
             (ARS, {}, TypeError, "ARS has no discount: train it without Durations"),
+            (PPO, {"envs": OTHER}, ValueError, WITHOUT),
+            (SAC, {"envs": OTHER}, ValueError, WITHOUT),
         )
     ),
 ]

@@ -89,6 +89,3 @@ def test_the_command_writes_the_page_again_from_the_stored_results(
 
 
 # -- the sweep ---------------------------------------------------------------------------------------------------------
-
-
-FEW = ("--quick", "--cases", "2", "--rounds", "1", "--seconds", "0.001", "--no-progress")

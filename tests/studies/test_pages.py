@@ -37,19 +37,6 @@ def test_a_record_is_stored_as_it_is_written(name: str) -> None:
     assert as_text(stored(name)) == (DOCS / f"{name}.json").read_text()
 
 
-def test_what_a_recipe_prints_is_its_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recipes, "HERE", tmp_path)
-    (tmp_path / "with_one.py").write_text("print('training')\nprint('after 1,000 actions: return -3.5 +- 0.2')")
-    row = recipes.trained("one", [])
-    assert (row["actions"], row["mean"], row["half_width_95"]) == (1000, -3.5, 0.2)
-    (tmp_path / "with_one.py").write_text("print('return 24, deviation 7')")
-    row = recipes.trained("one", [])
-    assert (row["actions"], row["mean"], row["half_width_95"]) == (None, 24.0, None)
-    (tmp_path / "with_one.py").write_text("raise SystemExit('no memory')")
-    with pytest.raises(RuntimeError, match="the recipe one failed: no memory"):
-        recipes.trained("one", [])
-
-
 def test_other_numbers_would_make_another_page() -> None:
     data = stored("results")
     data["rows"][0]["mean"] += 50.0
@@ -93,3 +80,12 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert counts["certified"] == 0
     assert counts["missed"] > 10
     assert counts["escaped"] > 10
+
+
+def test_a_recipe_that_fails_has_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recipes, "HERE", tmp_path)
+    (tmp_path / "with_one.py").write_text("print('after 1,000 actions: return -3.5 +- 0.2')")
+    assert [recipes.trained("one", [])[name] for name in ("actions", "mean", "half_width_95")] == [1000, -3.5, 0.2]
+    (tmp_path / "with_one.py").write_text("print('return 24')\nraise SystemExit('no memory')")
+    with pytest.raises(RuntimeError, match="the recipe one failed: no memory"):
+        recipes.trained("one", [])

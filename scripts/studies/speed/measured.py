@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene, Task, linearize
 from jackbox_env.exact.flight import Flight, gap_at, view_at
-from jackbox_env.exact.geometry import View, foot_gap, towards
-from jackbox_env.exact.restart import outside
+from jackbox_env.exact.geometry import View, foot_gap, outside, towards
 from jackbox_env.exact.search import IMPACT, NO_IMPACT, Event, Limits
 from jackbox_env.exact.workspace import Workspace
 from jackbox_env.jit.compiler import compiled, compiled_with

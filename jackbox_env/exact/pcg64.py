@@ -1,9 +1,8 @@
-"""Between the steps of a batch: draws scenes and starts; and checks the starts of rollouts.
+"""numpy's PCG64 in 32 bytes per environment, and what environments draw by it when episodes begin: scenes and starts.
 
-:mod:`jackbox_env.envs.compiled_batch` calls it when episodes begin. Scenes come in rows of numbers, one for all
-environments or one for each. The random numbers are numpy's PCG64, bit for bit, in 32 bytes per environment: O'Neill
-2014, "PCG: A family of simple fast space-efficient statistically good algorithms" (PCG XSL RR 128/64). A test compares
-draws with numpy's own generator.
+The random numbers are numpy's, bit for bit: O'Neill 2014, "PCG: A family of simple fast space-efficient statistically
+good algorithms" (PCG XSL RR 128/64). A test compares draws with numpy's own generator. Scenes come in rows of numbers,
+one for all environments or one for each.
 """
 
 from __future__ import annotations
@@ -13,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.glide import ordinary
-from jackbox_env.exact.step import CONSTANT, make_parameters
-from jackbox_env.exact.workspace import CLEAR, FALL, INERTIA, JACK_ARM, LIMIT, ORDINARY, ROOM, make_numbers
+from jackbox_env.exact.workspace import make_numbers
 from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
-from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts, clearance
+from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts
 from jackbox_env.model.tasks import start_pose
 
 (HALF_WIDTH, BOX_MASS, BOX_INERTIA, ARM, JACK_MASS, JACK_INERTIA, SPEED_SCALE) = (
@@ -26,7 +23,6 @@ from jackbox_env.model.tasks import start_pose
         "box_half_width", "box_mass", "box_inertia", "jack_arm", "jack_mass", "jack_inertia", "speed_scale",
     )
 )  # fmt: skip
-_ORDINARY = 1e9  # over L: smaller numbers of a state need no check in Python
 
 
 def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words: Words) -> None:
@@ -49,24 +45,6 @@ def draw_scenes(values: Array, ranges: Array, derived: NDArray[np.bool_], words:
         row[SPEED_SCALE] = fall_speed(row[HALF_WIDTH])
 
 
-def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
-    """Write the numbers of scenes that rows moved together need, see ``workspace.SCENE_PARAMS``.
-
-    Args:
-        values: the scenes' numbers, a row for each of ``numbers`` or one for all.
-        dt: control step [s].
-        scene_params: shape (blocks, SCENE_PARAMS, width), to be written.
-        numbers: of the environments.
-    """
-    for i in range(numbers.shape[0]):
-        scene = make_numbers(values[i if values.shape[0] > 1 else 0])
-        lane = scene_params[numbers[i] // scene_params.shape[2], :, numbers[i] % scene_params.shape[2]]
-        lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
-        lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear
-        lane[ROOM], lane[ORDINARY] = scene.box_half_width * (1.0 - 1e-12) - scene.jack_arm, ordinary(scene)
-        lane[JACK_ARM] = scene.jack_arm
-
-
 def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) -> None:
     """Draw a start for each environment of ``numbers``, at time 0.
 
@@ -85,22 +63,6 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
         y = -1.0 + 2.0 * uniform(words[k])
         angle = -1.0 + 2.0 * uniform(words[k])
         row[X_JACK], row[Y_JACK], row[THETA_JACK] = start_pose(scene, x, y, angle)
-
-
-def outside(values: Array, states: Array, deepest: Array) -> int:
-    """The first of the states, shape (N, 12), that a check in Python may refuse, or -1.
-
-    ``values`` has one scene for all states or one for each, ``deepest`` the allowed depth of a foot in each [m].
-    """
-    for i in range(states.shape[0]):
-        row = i if values.shape[0] > 1 else 0
-        scene = make_numbers(values[row])
-        for column in range(12):
-            if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
-                return i
-        if not -clearance(scene, states[i]) <= deepest[row]:
-            return i
-    return -1
 
 
 Words = NDArray[np.uint64]

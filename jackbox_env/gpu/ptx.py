@@ -1,0 +1,176 @@
+"""PTX, the code of NVIDIA's GPUs, of :func:`jackbox_env.gpu.row.play`, by the LLVM that numba brings; no toolkit.
+
+Numba's code for the CPU is compiled for another machine, as it is for WebAssembly. Each operation on float64 is rounded
+alone (``.rn``), which the driver may not contract, so a GPU computes the CPU's bits. :func:`refuse_inexact` refuses
+PTX that has anything else. PTX for sm_80 runs on all later cards too: their driver compiles it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+from jackbox_env.exact.workspace import Status
+from jackbox_env.gpu.row import SUBSTITUTES, arguments, play
+from jackbox_env.jit.compiler import UsersFunctions, intermediate_code
+from jackbox_env.jit.folders import cache_folders
+from jackbox_env.model.tasks import TASKS
+from jackbox_env.tools import files
+
+TRIPLE = "nvptx64-nvidia-cuda"
+_LAYOUT = "e-p6:32:32-i64:64-i128:128-i256:256-v16:16-v32:32-n16:32:64"
+_ROUNDED = {"add", "sub", "mul", "div", "sqrt", "rcp"}  # operations on float64 with .rn
+# and those that are exact
+_EXACT = {"abs", "neg", "copysign", "mov", "ld", "st", "selp", "setp", "min", "max", "cvt"}
+_KNOWN = re.compile(
+    r"llvm\.(nvvm|sqrt|fabs|copysign|floor|ceil|trunc|[su]m(ax|in)|abs|mem(set|cpy|move)|lifetime|assume)\b"
+)
+_OF_64_BITS = re.compile(r"^\s+(?:@!?%p\d+\s+)?([a-z]\w*)(\.[a-z0-9_.:]*)?\s", re.MULTILINE)
+
+_KERNEL = """
+declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+define ptx_kernel void @rollout(ptr %call, i64 %count) {{
+  %thread = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+  %width = call i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
+  %block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+  %before = mul i32 %block, %width
+  %number = add i32 %before, %thread
+  %row = zext i32 %number to i64
+  %inside = icmp slt i64 %row, %count
+  br i1 %inside, label %play, label %end
+play:
+  %workspace = alloca [{workspace} x i8], align 16
+  %scratch = alloca [{scratch} x double], align 16
+  %result = alloca ptr, align 8
+  %error = alloca ptr, align 8
+  %address = ptrtoint ptr %call to i64
+  %raised = call i32 @{name}(ptr %result, ptr %error, i64 %address,
+    ptr null, ptr null, i64 1, i64 {workspace}, ptr %workspace, i64 1, i64 {workspace},
+    ptr null, ptr null, i64 {scratch}, i64 8, ptr %scratch, i64 {scratch}, i64 8,
+    ptr null, ptr null, i64 0, i64 8, ptr %scratch, i64 0, i64 4, i64 32, i64 8, i64 %row)
+  %failed = icmp ne i32 %raised, 0
+  br i1 %failed, label %leave, label %end
+leave:
+  %ended_at = getelementptr i64, ptr %call, i64 4
+  %ended = load ptr, ptr %ended_at
+  %stride_at = getelementptr i64, ptr %call, i64 6
+  %stride = load i64, ptr %stride_at
+  %offset = mul i64 %row, %stride
+  %mine = getelementptr i8, ptr %ended, i64 %offset
+  store i64 {status}, ptr %mine
+  br label %end
+end:
+  ret void
+}}
+"""
+
+
+@cache
+def ptx_of(task: str, chip: str = "sm_80") -> str:
+    """The PTX of rollouts with a built-in task's rewards, stored with the other compiled code.
+
+    Args:
+        task: its name.
+        chip: the oldest that the code runs on.
+    """
+    name = f"{task}-{chip}-{version('numba')}-{version('llvmlite')}.ptx"
+    for folder in cache_folders():
+        stored, _, checksum = (
+            (folder / name).read_text().rpartition("// ") if (folder / name).is_file() else ("", "", "")
+        )
+        if stored and _checksum(name, stored) == checksum:
+            return stored
+    code = intermediate_code(play, kinds(), **SUBSTITUTES, task_terms=TASKS[task].values)
+    ptx = checked(*code, chip)
+    with contextlib.suppress(OSError):  # then it is compiled anew in each process
+        files.write_text(cache_folders()[-1] / name, f"{ptx}// {_checksum(name, ptx)}")
+    return ptx
+
+
+def ptx_with(users: UsersFunctions, chip: str = "sm_80") -> str:
+    """The same with the rewards of a user's task, not stored.
+
+    Raises:
+        TypeError: its functions need more than arithmetic.
+    """
+    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds()), chip)
+
+
+def kinds() -> tuple[Any, ...]:
+    """Numba's types of the arguments of :func:`jackbox_env.gpu.row.play`."""
+    from numba import typeof
+
+    return tuple(map(typeof, arguments()))
+
+
+def _checksum(name: str, ptx: str) -> str:
+    return hashlib.sha256(f"{name}\0{ptx}".encode()).hexdigest()
+
+
+def checked(code: str, name: str, chip: str) -> str:
+    """The PTX of a kernel around the function of this name in LLVM's code; :func:`refuse_inexact` has passed it."""
+    _, workspaces, scratch, *_ = arguments()
+    sizes = {"workspace": workspaces.itemsize, "scratch": len(scratch)}
+    ptx = emitted(code + _KERNEL.format(name=name, status=Status.UNCOMPILED.value, **sizes), chip)
+    refuse_inexact(ptx)
+    return ptx
+
+
+def emitted(code: str, chip: str) -> str:
+    """The PTX of LLVM's code for the CPU with a kernel, everything inlined into it."""
+    code = re.sub(r"^target datalayout = .*$", f'target datalayout = "{_LAYOUT}"', code, flags=re.MULTILINE)
+    code = re.sub(r"^target triple = .*$", f'target triple = "{TRIPLE}"', code, flags=re.MULTILINE)
+    code = re.sub(r"^declare double @(llvm\.)?sqrt(\.f64)?\(double\).*$", "", code, flags=re.MULTILINE)
+    code = code.replace("@sqrt(", "@llvm.sqrt.f64(") + "declare double @llvm.sqrt.f64(double)\n"
+    code = code.replace("noinline", "")
+    code = re.sub(r"^(define (?!ptx_kernel).*)\{$", r"\1alwaysinline {", code, flags=re.MULTILINE)
+    code = re.sub(r"^(define .*)\{$", r'\1"no-jump-tables"="true" {', code, flags=re.MULTILINE)
+    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    module = llvm.parse_assembly(code)
+    inner = [one for one in module.functions if one.name != "rollout"]
+    for defined in [*inner, *module.global_variables]:
+        if not defined.is_declaration:
+            defined.linkage = "internal"
+    machine = llvm.Target.from_triple(TRIPLE).create_target_machine(cpu=chip, features="+ptx78", opt=3)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_unrolling = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    refuse_more_than_arithmetic(module)
+    ptx: str = machine.emit_assembly(module)
+    return ptx
+
+
+def refuse_more_than_arithmetic(module: Any) -> None:
+    """Refuse LLVM's code that needs a function, or ``%``, which the backend would round or not know.
+
+    Raises:
+        TypeError: it does.
+    """
+    needed = [one.name for one in module.functions if one.is_declaration and not _KNOWN.match(one.name)]
+    if " frem " in str(module):
+        needed.append("%")
+    if needed:
+        raise TypeError(f'device="cuda" runs tasks of + - * / and square roots, this one needs {needed[0]}')
+
+
+def refuse_inexact(ptx: str) -> None:
+    """Refuse PTX in which an operation may round otherwise than the CPU's, or that calls something.
+
+    Raises:
+        TypeError: one does.
+    """
+    for operation, how in _OF_64_BITS.findall(ptx):
+        of_floats = {"f64", "f32", "f16", "f16x2", "bf16"}.intersection(how.split("."))
+        known = operation in _EXACT or (operation in _ROUNDED and ".rn." in how)
+        if operation == "call" or (of_floats and not (known and of_floats == {"f64"})):
+            raise TypeError(f"a GPU would not get the CPU's bits by {operation}{how}")
