@@ -145,11 +145,7 @@ def plan_of(
     Raises:
         TypeError, ValueError: an unusable seed or option.
     """
-    if not isinstance(options, Mapping | None):
-        names = "'state', 'time', 'scene' and 'reset_mask'"
-        raise TypeError(f"options must be a dict of {names} or None, got {check.shown(options)}")
-    options = dict(options or {})
-    check.known_keys("options", options, ("state", "time", "scene", "reset_mask"))
+    options = options_of(options, ("state", "time", "scene", "reset_mask"))
     chosen = np.ones(arguments.num_envs, dtype=np.bool_)
     if options.get("reset_mask") is not None:
         chosen = arguments.mask("options['reset_mask']", options["reset_mask"])
@@ -161,6 +157,19 @@ def plan_of(
         states = arguments.states("options['state']", options["state"], chosen, as_start)
     changes = None if options.get("scene") is None else arguments.changes(options["scene"], chosen)
     return ResetPlan(chosen, arguments.seeds(seed), changes, states, times)
+
+
+def options_of(options: Any, names: Sequence[str]) -> dict[str, Any]:
+    """The options of a reset, which may have these names.
+
+    Raises:
+        TypeError, ValueError: no dict, or another name.
+    """
+    if not isinstance(options, Mapping | None):
+        listed = f"{', '.join(map(repr, names[:-1]))} and {names[-1]!r}"
+        raise TypeError(f"options must be a dict of {listed} or None, got {check.shown(options)}")
+    check.known_keys("options", options or {}, names)
+    return dict(options or {})
 
 
 def as_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

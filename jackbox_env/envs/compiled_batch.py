@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
-from jackbox_env.envs.past import Past
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
 from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
@@ -23,6 +22,7 @@ from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
+from jackbox_env.render.raster import Past
 from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
 from jackbox_env.simulators.base import Impact, StepResult, end_of_step
 from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for

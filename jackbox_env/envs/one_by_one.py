@@ -74,13 +74,13 @@ class SingleBatch:
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
-            return self._present.envs[number].scene
+            return self._present.envs[number].parts[0].scene
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
-        return np.array([getattr(env.scene, name) for env in self._present.envs], dtype=np.float64)
+        return np.array([getattr(env.parts[0].scene, name) for env in self._present.envs], dtype=np.float64)
 
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""

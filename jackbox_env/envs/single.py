@@ -1,41 +1,44 @@
 """The Gymnasium environment: it sequences the simulator, the agent's functions and the renderer.
 
 A step is a decision: one or several control steps of the simulator, each under the action's torque and scored by the
-task; then an observation, and frames if they are shown.
+task; then an observation, and frames if they are shown. ``reference.py`` is the page about it.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from operator import add
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.seeding import np_random
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from jackbox_env.envs.decisions import decide
-from jackbox_env.envs.past import Past
+from jackbox_env.envs import reference
+from jackbox_env.envs.arguments import options_of
 from jackbox_env.envs.settings import Settings
 from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
-from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, episode_limit, repeat_of
+from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, clipped_share, episode_limit, repeat_of
+from jackbox_env.model.landing import is_over
 from jackbox_env.model.observation import Observation, seen_of
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
+from jackbox_env.render.raster import Past
 from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
 from jackbox_env.simulators.agent_functions import Functions, make_functions
 from jackbox_env.simulators.fidelity import FURTHER, resolve
-from jackbox_env.simulators.plain_functions import ControlStep, Nouns, tried
+from jackbox_env.simulators.plain_functions import ControlStep, Nouns, Seen, tried
 from jackbox_env.tools import checks as check
 
-Seen = NDArray[Any]  # float32, or uint8 pictures
-AnyAction = NDArray[Any] | float | None
+AnyAction = Seen | float | None
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
@@ -57,169 +60,11 @@ class Snapshot(NamedTuple):
     past: Past | None
     picture: Any
 
-    @property
-    def scene(self) -> Scene:
-        """The scene then."""
-        return self.parts[0].scene
-
 
 class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
-    """A planar jack bounces inside a square box that a torque turns.
+    """A planar jack bounces inside a square box that a torque turns. ``reference.py`` has the whole page."""
 
-    ## Description
-
-    A square box of half width L = 6 m and a jack, a cross with a point mass at each of its four feet, move in a
-    vertical plane. The feet bounce off the inside of the walls without friction, and without loss unless the scene's
-    `restitution` is below 1. A lift carries the box's weight; nothing carries the jack's. So the jack falls and
-    bounces, and each bounce pushes the box down a little. The agent applies a torque to the box.
-
-    The law is in `jackbox_env.mechanics`; how closely a contact model follows it is at the head of its file in
-    `jackbox_env.simulators`.
-
-    ## Action Space
-
-    `action` selects it; `action_repeat` sets how long an action lasts:
-
-    - `"torque"` (default): `Box(-1, 1, (1,))`, the torque on the box in units of `scene.torque_limit` (90000 N m),
-      positive counter-clockwise. A plain number is accepted too.
-    - `"landing"`: `Box(-1, 1, (2,))`, the box's angle over 0.5 rad, from the nearest quarter turn, and its rate over
-      2.5 rad/s at the jack's next landing: when its centre has fallen to where a foot that points down touches a level
-      box's floor. In each control step a torque steers the box along a cubic in time that ends there. Walls on the way
-      are ignored.
-    - `"discrete"`: `Discrete(3)`, -1, 0 or 1 times the torque limit.
-    - a `jackbox_env.Action` of your own.
-
-    The torque is constant for one control step. Finite values outside a Box are clipped; NaN and infinities raise
-    ValueError.
-
-    A step of the environment is a decision: it repeats the action for `action_repeat` control steps. With
-    `action_repeat="bounce"` it lasts until the jack's next impact:
-
-    - Several impacts within a control step end one decision.
-    - An impact ends a decision only after a control step without one, or once 0.4 s have passed. So a second foot that
-      strikes in the next step does not end it, and while a foot rests, an impact in each step, a decision lasts 0.4 s.
-    - Without an impact it ends after 2 s (without gravity, for instance), or after one control step if that is longer.
-    - The end of an episode ends it, too.
-
-    `step(None)` applies the scene's own drive instead, for the whole decision. By default that is a chirp: a sine of
-    90000 N m whose frequency grows from 0.5 Hz by 0.9 Hz per second, continuous in time. The native vector environment
-    accepts None too. Action wrappers, Gymnasium's Sync and AsyncVectorEnv and Stable-Baselines3 cannot pass None: make
-    the environment with `torque="chirp"` there, which ignores the action. An action replaces the drive's torque, not
-    its side forces.
-
-    ## Observation Space
-
-    `observation` selects it: `"state"` (default), the ten numbers below; `"landing"`, these and the eleven of
-    `jackbox_env.model.landing.FEATURES`, which foretell the next landing; `"pixels"` or a `jackbox_env.Pixels`, below;
-    or a `jackbox_env.Observation` of your own.
-
-    `"state"` is a `Box` of shape (10,), float32, a function of the state, with v0 = sqrt(2 * 9.81 * L) = 10.85 m/s and
-    the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has the full state.
-
-    | Num | Observation                                    | Min | Max | Unit     |
-    |-----|------------------------------------------------|-----|-----|----------|
-    | 0   | x of the jack's centre, in the box frame       | -1  | 1   | L        |
-    | 1   | y of the jack's centre, in the box frame       | -1  | 1   | L        |
-    | 2   | x velocity relative to the box's centre (*)    | -10 | 10  | v0       |
-    | 3   | y velocity relative to the box's centre (*)    | -10 | 10  | v0       |
-    | 4   | cosine of the box's angle                      | -1  | 1   |          |
-    | 5   | sine of the box's angle                        | -1  | 1   |          |
-    | 6   | angular velocity of the box                    | -10 | 10  | v0 / L   |
-    | 7   | cosine of 4 (jack's angle - box's angle)       | -1  | 1   |          |
-    | 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
-    | 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
-
-    (*) difference of the centres' velocities, along the box's axes; not the velocity seen from the turning box.
-
-    `"pixels"` is a `Box` of shape (84, 84, 1), uint8: a grey picture of box and jack, whose camera follows the box.
-    `jackbox_env.Pixels(size=(64, 64), stack=4)`, or `"pixels-64x64x4"`, has another size and, in channels, the pictures
-    of the last four control steps. They are drawn from the state by compiled code, with the same bits on every machine.
-
-    ## Rewards
-
-    `task` selects the reward, a sum of named terms, in `info` as `reward_<term>`:
-
-    - `"juggle"`: `centre`, 1 if the jack is in the middle of the box, falling linearly to 0 at max(L - l, L / 6).
-    - `"spin"`: `spin`, the jack's counter-clockwise rate over v0 / l within [-1, 1], times 1 - |omega_box| L / v0.
-    - `"rattle"`: `knock`, the impulse of the step's impacts over 4 m_j v0, at most 1, times 1 - |omega_box| L / (2 v0),
-      and `effort`, -0.01 times the square of the torque over its limit. Neither factor falls below 0.
-
-    ## Starting State
-
-    The box at rest at the origin, the jack at rest, its centre uniform in +-min(1 m, (L - l) / 5) on both axes, its
-    angle uniform in +-0.5 rad; a jack with L <= l < sqrt(2) L starts in the middle at 45 degrees. The time starts at 0.
-    A task of your own may draw other starts.
-
-    ## Episode End
-
-    The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds,
-    `max_episode_steps`, truncates it after 500 decisions (by default 10 s). If actions are repeated, the environment
-    itself truncates it after `episode_steps` control steps, by default 500. If the jack would leave the box, `step`
-    raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque cannot make it fast enough for that.
-
-    ## Information
-
-    `reset` and `step` return the same keys: `state` (float64, (12,): x, y, angle of the box and of the jack, then their
-    rates, SI units), `time` [s], `torque` (mean over the step) [N m], `impacts` (count in the step), `impulse` (their
-    sum) [N s], `duration` of the step [s] and `reward_<term>` for each term, summed over the step. With `randomize`
-    there is also `scene`, a dict of the drawn fields.
-
-    ## Arguments
-
-    | Parameter        | Default      | Meaning                                                                        |
-    |------------------|--------------|--------------------------------------------------------------------------------|
-    | `fidelity`       | `None`       | `"coarse"`, `"balanced"`, `"fine"` or `"exact"`, see below; None: `"balanced"` |
-    | `contact`        | `None`       | in place of a fidelity: `"pymunk"` (time stepping) or `"exact"` (compiled)     |
-    | `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
-    | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
-    | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
-    | `observation`    | `"state"`    | a name under Observation Space, a `jackbox_env.Observation` or `Pixels`        |
-    | `action`         | `"torque"`   | the name of one under Action Space, or a `jackbox_env.Action`                  |
-    | `action_repeat`  | `1`          | control steps of an action, or `"bounce"`                                      |
-    | `episode_steps`  | `None`       | control steps of an episode; None: 500 if actions are repeated, else no limit  |
-    | `control_dt`     | `0.02`       | duration of a control step [s], > 0                                            |
-    | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
-    | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
-    | `randomize`      | `None`       | fields of the scene that are drawn at each reset, see below                    |
-    | `render_size`    | `(512, 512)` | width and height of a frame [pixels], from 16 to 4096; below 400 without text  |
-    | `render_overlay` | `True`       | False: a frame shows box, jack and ruled lines alone                           |
-
-    `reset(options={"state": ..., "time": ...})` starts from these 12 numbers at that time. Every foot must be inside,
-    up to 1e-9 m (far from the origin, 4 units in the last place). `env.unwrapped.set_state(state, time)` restores any
-    state from `info`, also one in contact; `env.unwrapped.observation` is then its observation.
-
-    ## Other Scenes
-
-    `reset(options={"scene": {"gravity": 1.62}})` overrides fields of the environment's scene until the next reset with
-    that option. Unless set, inertias follow mass and size. `env.unwrapped.scene` is the present scene.
-
-    `randomize={"jack_mass": (2.0, 6.0), "restitution": (0.8, 1.0)}` draws these fields at each reset, uniformly, in the
-    order of `Scene`'s fields and before the start. They are not observed. Ranges that include an invalid scene raise
-    ValueError at once. `randomize` may also be a function that takes the environment's `numpy.random.Generator` and
-    returns a dict of fields. The option `"scene"` then overrides drawn fields for that episode.
-
-    ## Fidelity
-
-    `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4 and 64 substeps, `"exact"` is the exact
-    model. docs/accuracy.md has the error and the speed of each. `contact` and `substeps` select unnamed combinations;
-    if they conflict with `fidelity`, they raise ValueError.
-
-    >>> import gymnasium as gym, jackbox_env
-    >>> env = gym.make("JackInBox-v0")
-    >>> observation, info = env.reset(seed=0)
-    >>> for _ in range(60):  # 1.2 s of the chirp
-    ...     observation, reward, terminated, truncated, info = env.step(None)
-    >>> observation.shape, bool(info["time"] > 1.19), terminated
-    ((10,), True, False)
-
-    ## Version History
-
-    * v0: initial version
-
-    Raises:
-        TypeError, ValueError: an argument out of its range; the message names the value and what is allowed. A refused
-            call leaves the environment as it was.
-    """
+    __doc__ = reference.__doc__
 
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["human", "rgb_array", "rgb_array_list"], "render_fps": 50, "render_size": (512, 512),
@@ -264,7 +109,6 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.nouns = nouns = Nouns(tasks.task_of(task), numbers, action_of(action), pixels)
         self._limit = math.inf if limit is None else limit
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
-        self._most: float = self.repeat.steps
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
         self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, nouns, setting.contact)
@@ -272,11 +116,12 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in nouns.task.terms]
+        self._drawn = self._randomize.names if self._randomize else []  # fields of the scene, in info
         self.observation_space = nouns.space
         self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
-        self._renderer, self._frames = None, list[NDArray[np.uint8]]()
+        self._renderer = None
         self._past: Past | None = None  # of the pictures that are observed
         self._started, self.elapsed_steps = False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
@@ -296,28 +141,24 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         return self._parts if scene == self.scene else (self.simulator_of(scene), self._parts[1].of(scene))
 
     @property
-    def _simulator(self) -> Simulator:
-        return self._parts[0]
-
-    @property
     def scene(self) -> Scene:
         """The present scene, every field resolved."""
-        return self._simulator.scene
+        return self._parts[0].scene
 
     @property
     def state(self) -> Array:
         """A copy of the 12 state numbers (see :mod:`jackbox_env.mechanics`), float64, SI units."""
-        return self._simulator.state
+        return self._parts[0].state
 
     @property
     def time(self) -> float:
         """Present time [s]."""
-        return self._simulator.time
+        return self._parts[0].time
 
     @property
     def impacts(self) -> list[Impact]:
         """The impacts of the last step, in time order."""
-        return self._simulator.impacts if self._impacts is None else list(self._impacts)
+        return self._parts[0].impacts if self._impacts is None else list(self._impacts)
 
     @property
     def observation(self) -> Seen:
@@ -334,9 +175,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         Raises:
             TypeError, ValueError: unusable values. The environment is unchanged.
         """
-        self._simulator.reset(state, time)
-        self._started, self._impacts = True, None
-        self._start_pictures()
+        self._place(self._parts, state, time, self.elapsed_steps)
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -347,11 +186,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             TypeError, ValueError: an unusable option.
             jackbox_env.TaskError: the start's observation has a NaN. An error leaves the environment unchanged.
         """
-        if not isinstance(options, Mapping | None):
-            names = "'state', 'time' and 'scene'"
-            raise TypeError(f"options must be a dict of {names} or None, got {check.shown(options)}")
-        options = dict(options or {})
-        check.known_keys("options", options, ("state", "time", "scene"))
+        options = options_of(options, ("state", "time", "scene"))
         time = 0.0 if options.get("time") is None else options["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         generator = self.np_random if seed is None else np_random(seed)[0]
@@ -360,10 +195,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         bits = generator.bit_generator.state  # faster than a copy
         try:
             scene = self._next_scene(generator, options.get("scene"))
-            if options.get("state") is None:
-                state = tasks.draw_start(self.nouns.task, scene, generator)
-            else:
-                state = as_start(scene, options["state"])
+            start = options.get("state")
+            state = tasks.draw_start(self.nouns.task, scene, generator) if start is None else as_start(scene, start)
             parts = self._parts_for(scene)
             if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
                 tried(parts[1], state)
@@ -389,7 +222,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         drawn = self._randomize.draw(self._first_scene, generator)
         return self._first_scene.changed(**{**drawn, **(changes or {})})
 
-    def _place(self, parts: tuple[Simulator, Functions], state: Array, time: float, steps: int = 0) -> None:
+    def _place(self, parts: tuple[Simulator, Functions], state: ArrayLike, time: float, steps: int = 0) -> None:
         """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
         parts[0].reset(state, time)
         if self._renderer is not None and parts[0].scene != self.scene:
@@ -416,38 +249,69 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
         left = self._limit - self.elapsed_steps
-        most = self._most if self._most < left else left
+        most = left if left < self.repeat.steps else self.repeat.steps
         if most <= 0:
             raise gym.error.ResetNeeded(f"step must come after a reset, as the episode has had its {self._limit} steps")
-        simulator, functions = self._parts
+        simulator = self._parts[0]
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
-            whole, made, parts = decide(
-                simulator, functions, self._dt, torque, controls, most, self.repeat.max_contact_steps, self.stored_steps
-            )
+            whole, made, self.control_steps = self._decide(torque, controls, most)
         except BaseException:
             if before is not None:
                 simulator.restore(before)
             raise
-        self.control_steps = parts
         self.elapsed_steps += made
         if self._renderer is not None:
-            self._show(parts)
+            for part in self.control_steps:
+                self._renderer.record(part.state, part.time, part.torque, part.impacts, part.reward)
+                if self.render_mode == "human":
+                    self.render()
         self._impacts = None if made == 1 else whole.impacts
         if self._past is not None:
-            self._past = self._past.later(np.array([[part.state for part in parts]]))
+            self._past = self._past.later(np.array([[part.state for part in self.control_steps]]))
             whole = whole._replace(seen=self._pictures(self._past))
         return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, made)
 
-    def _show(self, parts: Sequence[ControlStep]) -> None:
-        """Draw control steps, as far as the render mode shows them."""
-        assert self._renderer is not None
-        for part in parts:
-            self._renderer.record(part.state, part.time, part.torque, part.impacts, part.reward)
-            if self.render_mode == "human":
-                self.render()
-            elif self.render_mode == "rgb_array_list":
-                self._frames.append(self._renderer.drawn())
+    def _decide(
+        self, torque: float | None, controls: Array | None, most: float
+    ) -> tuple[ControlStep, int, Sequence[ControlStep]]:
+        """Step the simulator until ``most`` control steps, an impact or the task's end ends the decision.
+
+        Only its end is observed. Sums are from the first value on, as those of the exact model's loop. For ``torque``
+        and ``controls`` see :meth:`_control_step`.
+
+        Returns:
+            The whole decision, with sums over its control steps, the mean torque and the state at the end; the number
+            of its control steps; and the last ``stored_steps`` of them.
+        """
+        if most == 1:
+            part = self._control_step(torque, controls, True)
+            return part, 1, [part]
+        parts, impacts, sums = deque[ControlStep](maxlen=self.stored_steps), list[Impact](), list[float]()
+        made, ended, separated = 0, False, False
+        while made < most and not ended:
+            part = self._control_step(torque, controls, False)
+            parts.append(part)
+            impacts += part.impacts
+            values = [part.torque, part.impulse, part.reward, *part.terms]
+            sums = list(map(add, sums, values)) if made else values
+            made, struck = made + 1, bool(part.impacts)
+            ended = part.over or is_over(made, separated, struck, self.repeat.max_contact_steps)
+            separated = separated or not struck
+        mean, impulse, reward, *terms = sums
+        whole = part._replace(
+            torque=mean / made, impacts=impacts, impulse=impulse, terms=terms, reward=reward,
+            seen=self._parts[1].observe(part.state, part.time),
+        )  # fmt: skip
+        return whole, made, parts
+
+    def _control_step(self, torque: float | None, controls: Array | None, seen: bool) -> ControlStep:
+        """Make one control step under a ``torque`` [N m], an action's numbers ``controls``, (n,), or the drive."""
+        simulator, functions = self._parts
+        if controls is not None:
+            share = clipped_share(functions.share(simulator.state, controls, simulator.time, self._dt))
+            torque = share * simulator.scene.torque_limit
+        return functions.step_and_score(simulator, self._dt, torque, seen)
 
     def render(self) -> Any:
         """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human").
@@ -455,9 +319,6 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         In the mode "rgb_array_list" return, and clear, the frames of all control steps since the last call or reset,
         that of the start included.
         """
-        if self.render_mode == "rgb_array_list" and self._renderer is not None:
-            frames, self._frames = self._frames, []
-            return frames
         if self._renderer is None:
             cause = "comes after close" if self.render_mode else 'needs a render_mode, e.g. render_mode="rgb_array"'
             gym.logger.warn(f"render {cause}: there is no picture")
@@ -512,14 +373,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             value: float = action.item()
             if -1.0 <= value <= 1.0:  # most often
                 return value * self._parts[0].scene.torque_limit
-        else:
-            action = check.array("action", action, "be one finite number (clipped to [-1, 1])")
-        if action.shape not in ((1,), ()):
-            raise ValueError(f"action must have shape (1,), got shape {action.shape}")
-        value = float(action.item())
-        if not math.isfinite(value):
-            raise ValueError(f"action must be a finite number (clipped to [-1, 1]), got {value}")
-        return max(-1.0, min(1.0, value)) * self._parts[0].scene.torque_limit
+        return float(self.nouns.action.checked(action)[0, 0]) * self._parts[0].scene.torque_limit
 
     def _info(self, of: ControlStep, steps: int) -> dict[str, Any]:
         """The info of a decision of so many control steps."""
@@ -530,11 +384,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         }  # fmt: skip
         for name, value in zip(self._terms, terms):  # noqa: B905  # strict=True takes half as long as the physics
             info[name] = value
-        return info if self._randomize is None else info | self._drawn()
-
-    def _drawn(self) -> dict[str, Any]:
-        names = self._randomize.names if self._randomize else []
-        return {"scene": {name: getattr(self.scene, name) for name in names}} if names else {}
+        if self._drawn:
+            info["scene"] = {name: getattr(self.scene, name) for name in self._drawn}
+        return info
 
     def _pictures(self, past: Past) -> Seen:
         frames = past.draw(np.array([self.scene.numbers]), np.zeros(1, np.int64), self.nouns.unfilled(1), Threads(1))
@@ -542,9 +394,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     def _start_pictures(self) -> None:
         if self.nouns.pixels is not None:
-            poses = np.tile(self._simulator.state[:RATES], (1, self.nouns.pixels.stack, 1))
+            poses = np.tile(self._parts[0].state[:RATES], (1, self.nouns.pixels.stack, 1))
             self._past = Past(self.nouns.pixels, poses)
         if self._renderer is not None:
-            self._renderer.reset(self._simulator.state, self._simulator.time)
-        if self._renderer is not None and self.render_mode == "rgb_array_list":
-            self._frames = [self._renderer.drawn()]
+            self._renderer.reset(self._parts[0].state, self._parts[0].time)

@@ -79,6 +79,10 @@ class Recording:
         if self.impacts is not None and (self.impacts.ndim != 1 or (np.diff(self.impacts) < 0.0).any()):
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
         heard = self.impacts is not None and len(self.impacts) > 0
+        end = self.time + count * self.dt
+        if heard and not ((self.impacts >= self.time) & (self.impacts <= end)).any():
+            within = f"within the recording, from {self.time:.6g} to {end:.6g} s"
+            raise ValueError(f"impacts must be {within}, got {self.impacts[0]:.6g} s first: another clock?")
         if not (heard or np.isfinite(self.states).any()):
             raise ValueError("states must have an observed number, got NaN only and no impacts")
         self.notes: tuple[str, ...] = ()

@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
@@ -27,6 +26,10 @@ from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, unlink
 from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
+from jackbox_env.tools import checks as check
+
+with check.extra("jackbox_env.fit", "scipy", "train"):
+    from scipy import stats
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends

@@ -83,11 +83,13 @@ class Action:
         else:
             low, high = self.space.low.astype(np.float64), self.space.high.astype(np.float64)
             limits = "[-1, 1]" if (low == -1.0).all() and (high == 1.0).all() else "the space"
-            every, one = f"numbers (clipped to {limits})", f"finite numbers (clipped to {limits})"
+            kind = "a finite number" if width == 1 else "finite numbers"
+            every, one = f"numbers (clipped to {limits})", f"{kind} (clipped to {limits})"
             shapes = f"{(*rows, width)} or {rows}" if width == 1 and rows else f"{(*rows, width)}"
-        values = check.array(name, action, f"be {every}")
+        wanted = one if count is None else every
+        values = check.array(name, action, f"be {wanted}")
         if discrete and values.dtype.kind not in "iu":
-            raise TypeError(f"{name} must be {every}, got {check.shown(action)}")
+            raise TypeError(f"{name} must be {wanted}, got {check.shown(action)}")
         if values.shape != (*rows, width) and not (width == 1 and values.shape == rows):
             raise ValueError(f"{name} must have shape {shapes}, got shape {values.shape}")
         values = values.reshape(-1, width)

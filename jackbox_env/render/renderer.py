@@ -94,7 +94,7 @@ class Renderer:
 
     Args:
         scene: its sizes are drawn.
-        render_mode: ``"rgb_array"`` or ``"human"``.
+        render_mode: ``"rgb_array"``, ``"human"``, or ``"rgb_array_list"``, which draws each recorded state.
         fps: frames per second of the window [Hz].
         task: its name, which is written into the frame.
         size: width and height of the frame [px].
@@ -108,7 +108,7 @@ class Renderer:
         self, scene: Scene, render_mode: str, fps: float, task: str = "", size: tuple[int, int] = (SIZE, SIZE),
         overlay: bool = True,
     ) -> None:  # fmt: skip
-        self._human, self._fps, self._size, self._overlay = render_mode == "human", fps, size, overlay
+        self._mode, self._fps, self._size, self._overlay = render_mode, fps, size, overlay
         self._task = task if len(task) <= _LONGEST_TASK else task[: _LONGEST_TASK - 1] + "…"
         self._lettered = overlay and min(size) >= _LETTERED
         # [px] of this frame for a pixel of 512
@@ -142,7 +142,9 @@ class Renderer:
         self._count = 0
         self._torque, self._return = 0.0, 0.0  # [N m]; sum of the rewards
         self._interval = 0.0  # [s] last control step
+        self._frames = list[NDArray[np.uint8]]()
         self._set(state, time)
+        self._add_frame()
 
     def _set(self, state: Sequence[float] | Array, time: float) -> None:
         x, y, self._angle, jack_x, jack_y, self._jack_angle = map(float, state[:RATES])
@@ -154,7 +156,7 @@ class Renderer:
     def record(
         self, state: Sequence[float] | Array, time: float, torque: float, impacts: Sequence[Impact], reward: float = 0.0
     ) -> None:
-        """Record the state after a control step, shape (12,), SI units; nothing is drawn.
+        """Record the state after a control step, shape (12,), SI units.
 
         Args:
             state: at the end of the step.
@@ -172,6 +174,11 @@ class Renderer:
             strength = impact.impulse / (2.0 * self._scene.jack_mass * self._scene.speed_scale)
             radius = max(2.0, (8.0 + 8.0 * min(strength, 1.0)) * self._px)
             self._flashes.append((impact.time, self._contact_point(impact, state), radius))
+        self._add_frame()
+
+    def _add_frame(self) -> None:
+        if self._mode == "rgb_array_list":
+            self._frames.append(self.drawn())
 
     def snapshot(self) -> dict[str, Any]:
         """A copy of all that a frame shows of the present scene, for :meth:`restore`."""
@@ -212,13 +219,26 @@ class Renderer:
         """Whether a point is close enough to the frame to be drawn; False after an overflow."""
         return max(abs(point.real), abs(point.imag)) < 4.0 * max(self._size)
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:
         """Draw the last state that was recorded or reset to.
 
         Returns:
-            A fresh array (height, width, 3) of uint8, or None in the human mode, which shows it in the window and waits
-            for the next frame's time.
+            A fresh array (height, width, 3) of uint8. In the human mode None: the frame is shown in the window, which
+            waits for the next frame's time. With "rgb_array_list" the frames since the last call or reset.
         """
+        if self._mode == "rgb_array_list":
+            frames, self._frames = self._frames, []
+            return frames
+        if self._mode == "human":
+            self._show(self._drawn())
+            return None
+        return self.drawn()
+
+    def drawn(self) -> NDArray[np.uint8]:
+        """A frame of the last state, a fresh array (height, width, 3) of uint8, in any mode."""
+        return self._drawn().pixels()
+
+    def _drawn(self) -> Canvas:
         if self._canvas is None:
             self._canvas = Canvas(self._size)
         canvas = self._canvas
@@ -232,16 +252,7 @@ class Renderer:
             self._draw_gauge(canvas)
         if self._lettered:
             self._write_readings(canvas.surface)
-        if self._human:
-            self._show(canvas)
-            return None
-        return canvas.pixels()
-
-    def drawn(self) -> NDArray[np.uint8]:
-        """A frame, as :meth:`render` returns it where there is no window."""
-        frame = self.render()
-        assert frame is not None
-        return frame
+        return canvas
 
     def close(self) -> None:
         """Destroy the window and the surfaces; a second call does nothing. Other renderers continue."""

@@ -152,8 +152,12 @@ def _lesson() -> list[dict[str, str]]:
 
 def _task(name: str) -> dict[str, Any]:
     """A task's goal, what policies earn, and the trained network."""
-    rows = json.loads((ROOT / "docs" / "results.json").read_text())["rows"]
-    earned = {row["policy"]: row["mean"] for row in rows if (row["task"], row["contact"]) == (name, "exact")}
+    rows = json.loads((ROOT / "docs" / "benchmark.json").read_text())["policies"]
+    earned = {
+        row["policy"]: row["mean"]
+        for row in rows
+        if (row["task"], row["contact"], row["setting"]) == (name, "exact", "default")
+    }
     return {
         "goal": GOALS[name], "earned": {label: earned[policy] for policy, label in COMPARED.items()},
         "agent": _agent(AGENTS / f"{name}-ppo"),

@@ -14,9 +14,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 
 from jackbox_env import JackInBoxEnv, Pixels, Scene
-from jackbox_env.envs.past import Past
 from jackbox_env.exact.threads import Threads
 from jackbox_env.render import raster
+from jackbox_env.render.raster import Past
 from jackbox_env.sb3 import make_sb3_vec_env
 from tests.batches.several import EVERY_MODEL
 

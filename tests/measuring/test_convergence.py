@@ -231,7 +231,7 @@ def test_rows_that_agree_with_the_fitted_motion_are_no_bad_rows() -> None:
 def test_a_recording_that_is_wrong_is_named_and_does_not_spoil_the_others() -> None:
     other = LAB.changed(jack_arm=0.06, jack_mass=0.3)
     fitted = fit([filmed(other, 1.7), filmed(LAB, 1.7)], FIELDS, far(LAB))
-    assert "no part of recording 0 agrees with the scene" in fitted.problems, fitted.problems
+    assert any("recording 0" in problem for problem in fitted.problems), fitted.problems
     assert fitted.scene.jack_mass == pytest.approx(LAB.jack_mass, rel=0.02)
     assert fitted.scene.restitution == pytest.approx(LAB.restitution, abs=0.01)
 

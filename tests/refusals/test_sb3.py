@@ -106,7 +106,7 @@ LEARNING = [
     Refusal(
         lambda env: env.step(torch.ones(1, requires_grad=True)),
         TypeError,
-        "action must be one finite number (clipped to [-1, 1]), got a tensor that requires grad: pass its detach()",
+        "action must be a finite number (clipped to [-1, 1]), got a tensor that requires grad: pass its detach()",
         single(),
     ),
     Refusal(
