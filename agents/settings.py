@@ -6,9 +6,7 @@ import json
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, make_dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
-
-import gymnasium as gym
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
@@ -30,8 +28,6 @@ NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
 }  # fmt: skip
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
 PER_POLICY = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
-LENGTHS = ("episode_steps", "max_episode_steps")  # keywords that limit an episode, in control steps and in decisions
-EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
 MOST_STEPS = 10**12  # also of episodes and samples
 MOST_THREADS = 1024

@@ -37,10 +37,11 @@ from agents.policies.registry import find_policy, is_function, runs_code, with_c
 from agents.policies.scripted import PolicyWithEnv
 from agents.runners import Finished, Runner, Work
 from agents.runs import PACKAGES, installed, locked, machine
-from agents.settings import EPISODE_STEPS, LENGTHS, NAMES, NOUNS, EnvSettings, TrainSettings
+from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
+from jackbox_env.model.action import EPISODE_STEPS
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
 from jackbox_env.tools.model_files import MODEL, is_whole
@@ -290,7 +291,8 @@ def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _policy_in(name: str, env: EnvSettings, nouns: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
     """A policy in the environment of its row, also a model that env.json describes in another one."""
-    return find_policy(name, env, seed, trust, {**env.env_settings, **dict.fromkeys(LENGTHS, EPISODE_STEPS), **nouns})
+    length = {"episode_steps": EPISODE_STEPS, "max_episode_steps": None}
+    return find_policy(name, env, seed, trust, {**env.env_settings, **length, **nouns})
 
 
 def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, Any]:

@@ -96,7 +96,7 @@ register(
     id="JackInBox-v0",
     entry_point="jackbox_env.envs.single:JackInBoxEnv",
     vector_entry_point="jackbox_env.envs.vector:JackInBoxVectorEnv",
-    max_episode_steps=500,  # 10 s
+    max_episode_steps=None,  # the environment itself truncates
     reward_threshold=300.0,  # of juggle
 )
 

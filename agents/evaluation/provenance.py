@@ -11,10 +11,10 @@ from typing import Any
 
 from agents.policies.registry import POLICIES, SCRIPTED
 from agents.policies.scripted import PolicyWithEnv
-from agents.settings import EPISODE_STEPS, LENGTHS, PER_POLICY
+from agents.settings import PER_POLICY
 from jackbox_env import Scene
 from jackbox_env.envs.vector import JackInBoxVectorEnv
-from jackbox_env.model.action import repeat_of
+from jackbox_env.model.action import EPISODE_STEPS, repeat_of
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, named
 from jackbox_env.tools import checks as check
 
@@ -29,21 +29,19 @@ def facts_of(keywords: Mapping[str, Any]) -> Facts:
         TypeError, ValueError: the environment refuses a keyword, or an episode has no certain number of control steps.
     """
     env = JackInBoxVectorEnv(1, **keywords)
-    repeat, decisions = repeat_of(env.action_repeat, env.control_dt), env.max_episode_steps
-    shortest = min(2, repeat.max_contact_steps) or repeat.steps  # until an impact a decision lasts two steps or more
-    most_decisions = math.inf if decisions == -1 else decisions
-    least, most = (min(env.episode_steps or math.inf, most_decisions * steps) for steps in (shortest, repeat.steps))
-    if not least == most < math.inf:
-        raise ValueError(
-            f"episodes must have one number of control steps, got {least} to {most} with max_episode_steps "
-            f"{decisions}: use --env episode_steps={env.episode_steps or EPISODE_STEPS}"
-        )
+    decisions, steps = env.max_episode_steps or math.inf, env.episode_steps or math.inf
+    repeat = repeat_of(env.action_repeat, env.control_dt)
+    most = min(steps, decisions * repeat.steps)
+    if most == math.inf or (repeat.max_contact_steps and decisions < math.inf):
+        got = f"at most {steps:g} in at most {decisions:g} decisions"
+        use = f"use --env episode_steps={env.episode_steps or EPISODE_STEPS}"
+        raise ValueError(f"episodes must have one number of control steps, got {got}: {use}")
     scene, plain, names = env.scenes[0], Scene(), [part.name for part in fields(Scene)]
     changed = [name for name in names if name not in scene.derived and getattr(scene, name) != getattr(plain, name)]
     return {
         "task": env.task, **named(Setting(env.contact, env.substeps)), "control_dt": env.control_dt,
         "scene": {name: getattr(scene, name) for name in changed}, "randomize": env.randomize or None,
-        "episode_steps": most,
+        "episode_steps": int(most),
     }  # fmt: skip
 
 
@@ -73,7 +71,7 @@ def shared_environment(acts: Mapping[str, PolicyWithEnv], here: Mapping[str, Any
                 f"{differences(shared, others)}, but a table compares the same episodes: choose for all, "
                 "as by --env task=spin or --env episode_steps=500, or evaluate one at a time"
             )
-    steps = dict.fromkeys(LENGTHS, shared["episode_steps"])
+    steps = {"episode_steps": shared["episode_steps"], "max_episode_steps": None}
     return {name: value for name, value in {**here, **acts[first].keywords, **steps}.items() if name not in PER_POLICY}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import LENGTHS, TrainSettings
+from agents.settings import TrainSettings
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
@@ -103,8 +103,8 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
     check.known_keys("--env", keywords, ENV_KEYWORDS)
     load_code(filter(is_object, keywords.values()))
     contact = dict.fromkeys(KEYWORDS if keywords.keys() & {*KEYWORDS} else ())
-    lengths = dict.fromkeys(LENGTHS if "episode_steps" in keywords else (), keywords.get("episode_steps"))
-    return {**contact, **lengths, **keywords}
+    uncut = dict.fromkeys(["max_episode_steps"] * ("episode_steps" in keywords))
+    return {**contact, **uncut, **keywords}
 
 
 def model_in_env(file: Path, trust: bool, changed: dict[str, Any]) -> PolicyWithEnv:

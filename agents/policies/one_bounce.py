@@ -26,9 +26,10 @@ from agents.policies.network import Layer, read_with_layers
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, StatelessPolicy
 from agents.policies.scripted import torques as as_actions
 from agents.policies.value import Value
-from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.mechanics import contacts_of, impact_maps
+from jackbox_env.model.action import EPISODE_STEPS
 from jackbox_env.model.landing import QUARTER, landing_time, torques, upright
 from jackbox_env.model.observation import BOUNDS, state_of
 from jackbox_env.model.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import cast
 
 from jackbox_env.commands.options import parser_of
 from jackbox_env.tools.command_line import command_line
@@ -30,9 +29,8 @@ def main() -> None:
     """Parse, replay, compare, write; exit with 1 if the motion differs."""
     arguments = _arguments()
     text: str = arguments.text
-    import gymnasium as gym
-
     from jackbox_env.commands.game import played_columns, read_game, replayed_steps
+    from jackbox_env.model.action import EPISODE_STEPS
     from jackbox_env.model.scene import total
     from jackbox_env.recording.files import write_table
     from jackbox_env.tools.files import check_new_file
@@ -42,7 +40,7 @@ def main() -> None:
     if text == "-":
         text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
     game = read_game(text)
-    count, episode = len(game.shares), cast(int, gym.spec("JackInBox-v0").max_episode_steps)
+    count = len(game.shares)
     differs, steps = replayed_steps(game)
     played = f"{count:,} steps of {game.task}, {count * game.dt:g} s"
     if not count:
@@ -50,8 +48,8 @@ def main() -> None:
     elif differs is not None:
         print(f"{played}: it differs from step {differs:,} on")
     else:
-        first = f" in the first {episode * game.dt:g} s" if count > episode else ""
-        earned = total([step.result.reward for step in steps[:episode]])
+        first = f" in the first {EPISODE_STEPS * game.dt:g} s" if count > EPISODE_STEPS else ""
+        earned = total([step.result.reward for step in steps[:EPISODE_STEPS]])
         print(f"{played}, return {earned:.1f}{first}: the same, bit for bit")
     if arguments.csv is not None:
         write_table(played_columns(game, steps), arguments.csv)

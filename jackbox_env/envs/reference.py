@@ -86,10 +86,14 @@ A task of your own may draw other starts.
 
 ## Episode End
 
-The episode never terminates, unless a task of your own ends it. The time limit that `gymnasium.make` adds,
-`max_episode_steps`, truncates it after 500 decisions (by default 10 s). If actions are repeated, the environment
-itself truncates it after `episode_steps` control steps, by default 500. If the jack would leave the box, `step`
-raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque cannot make it fast enough for that.
+The episode never terminates, unless a task of your own ends it. It is truncated after `episode_steps` control
+steps, by default 500 (10 s), wherever the environment is made; None: never. `env.spec.max_episode_steps` is the
+number of decisions: 125 with `action_repeat=4`; None with `"bounce"`. Gymnasium's own `max_episode_steps=n` adds a
+wrapper outside that truncates after n decisions, so it can only shorten an episode: with 1000 the `spec` then says
+1000, but the episode ends after 500. To make a spec again with other `episode_steps`, add `max_episode_steps=-1`.
+
+If the jack would leave the box, `step` raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque
+cannot make it fast enough for that.
 
 ## Information
 
@@ -103,14 +107,12 @@ there is also `scene`, a dict of the drawn fields.
 | Parameter        | Default      | Meaning                                                                        |
 |------------------|--------------|--------------------------------------------------------------------------------|
 | `fidelity`       | `None`       | `"coarse"`, `"balanced"`, `"fine"` or `"exact"`, see below; None: `"balanced"` |
-| `contact`        | `None`       | in place of a fidelity: `"pymunk"` (time stepping) or `"exact"` (compiled)     |
-| `substeps`       | `None`       | engine steps of pymunk per control step, >= 1; None: 4                         |
 | `scene`          | `None`       | a `Scene`, or a dict of some of its fields                                     |
 | `task`           | `"juggle"`   | the name of one under Rewards, or a `jackbox_env.Task` of your own             |
 | `observation`    | `"state"`    | a name under Observation Space, a `jackbox_env.Observation` or `Pixels`        |
 | `action`         | `"torque"`   | the name of one under Action Space, or a `jackbox_env.Action`                  |
 | `action_repeat`  | `1`          | control steps of an action, or `"bounce"`                                      |
-| `episode_steps`  | `None`       | control steps of an episode; None: 500 if actions are repeated, else no limit  |
+| `episode_steps`  | `500`        | control steps of an episode; None: no limit                                    |
 | `control_dt`     | `0.02`       | duration of a control step [s], > 0                                            |
 | `torque`         | `"agent"`    | `"agent"`: the action, or the drive if it is None; `"chirp"`: always the drive |
 | `render_mode`    | `None`       | `"human"`, `"rgb_array"`, or `"rgb_array_list"`: the frames of control steps   |
@@ -135,8 +137,9 @@ returns a dict of fields. The option `"scene"` then overrides drawn fields for t
 ## Fidelity
 
 `"coarse"`, `"balanced"` (the default) and `"fine"` are pymunk with 2, 4 and 64 substeps, `"exact"` is the exact
-model. docs/accuracy.md has the error and the speed of each. `contact` and `substeps` select unnamed combinations;
-if they conflict with `fidelity`, they raise ValueError.
+model. docs/accuracy.md has the error and the speed of each. For studies, `contact="pymunk"` (time stepping) with
+`substeps` (engine steps per control step, 4 by default), or `contact="exact"`, in place of a fidelity selects
+combinations without a name; together with another `fidelity` they raise ValueError.
 
 >>> import gymnasium as gym, jackbox_env
 >>> env = gym.make("JackInBox-v0")

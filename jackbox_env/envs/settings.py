@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
+
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
 
 from jackbox_env.tools import checks as check
 
@@ -38,8 +42,25 @@ class Settings:
     _settings: Mapping[str, Any]  # the arguments by name
     contact, substeps, fidelity, task, control_dt = Setting(), Setting(), Setting(), Setting(), Setting()
     torque, torque_source, randomize = Setting(), Setting("torque"), Setting()
-    action, action_repeat, episode_steps = Setting(), Setting(), Setting()
+    action, action_repeat, episode_steps, max_episode_steps = Setting(), Setting(), Setting(), Setting()
     render_mode, render_size, render_overlay = Setting(), Setting(), Setting()
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec from which Gymnasium makes the same environment, with the number of decisions of an episode."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        """Store a spec, with the name of the autoreset mode in place of the enum, which has no JSON form."""
+        if spec is not None:
+            spec = copy.copy(spec)
+            spec.max_episode_steps = self.max_episode_steps
+            if isinstance(mode := spec.kwargs.get("autoreset_mode"), AutoresetMode):
+                spec.kwargs = {**spec.kwargs, "autoreset_mode": mode.name}
+        self._spec = spec
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

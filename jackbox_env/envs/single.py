@@ -24,7 +24,17 @@ from jackbox_env.envs.arguments import options_of
 from jackbox_env.envs.settings import Settings
 from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
-from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, clipped_share, episode_limit, repeat_of
+from jackbox_env.model.action import (
+    ACTIONS,
+    EPISODE_STEPS,
+    MOST_STEPS,
+    Action,
+    Repeats,
+    action_of,
+    clipped_share,
+    decisions_of,
+    repeat_of,
+)
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.observation import Observation, seen_of
 from jackbox_env.model.pixels import Pixels
@@ -87,7 +97,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         observation: str | Observation | Pixels = "state",
         action: str | Action = "torque",
         action_repeat: Repeats = 1,
-        episode_steps: int | None = None,
+        episode_steps: int | None = EPISODE_STEPS,
         **settings: Any,
     ) -> None:
         setting = resolve(fidelity, contact, substeps=substeps, **settings)
@@ -98,16 +108,18 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         size = check.size("render_size", render_size, at_least=16, at_most=4096)
         overlay = check.flag("render_overlay", render_overlay)
         self.repeat = repeat_of(action_repeat, dt)
-        limit = episode_limit(episode_steps, action_repeat)
+        if episode_steps is not None:
+            episode_steps = check.whole("episode_steps", episode_steps, at_least=1, at_most=MOST_STEPS)
         self._settings = {
             **setting._asdict(), "fidelity": fidelity, "task": task, "control_dt": dt, "torque": torque,
-            "action": action, "action_repeat": action_repeat, "episode_steps": limit, "randomize": randomize,
+            "action": action, "action_repeat": action_repeat, "episode_steps": episode_steps, "randomize": randomize,
+            "max_episode_steps": decisions_of(episode_steps, action_repeat),
             "render_mode": render_mode, "render_size": size, "render_overlay": overlay,
         }  # fmt: skip
         self._dt, self._driven = dt, torque == "chirp"
         numbers, pixels = seen_of(observation)
         self.nouns = nouns = Nouns(tasks.task_of(task), numbers, action_of(action), pixels)
-        self._limit = math.inf if limit is None else limit
+        self._limit = math.inf if episode_steps is None else episode_steps
         self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
@@ -123,7 +135,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer = None
         self._past: Past | None = None  # of the pictures that are observed
-        self._started, self.elapsed_steps = False, 0  # control steps of the episode
+        self._started, self._over, self.elapsed_steps = False, False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``stored_steps``; None: all
         self.stored_steps = None if render_mode else (pixels or Pixels()).stack
@@ -167,15 +179,19 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             return self._pictures(self._past)
         return self._parts[1].observe(self.state, self.time)
 
-    def set_state(self, state: ArrayLike, time: float = 0.0) -> None:
-        """Set the state, shape (12,), and the time [s], exactly. The episode continues.
+    def set_state(self, state: ArrayLike, time: float = 0.0, steps: int | None = None) -> None:
+        """Set the state, shape (12,), and the time [s], exactly. The episode continues; a finished one starts anew.
 
-        Every state of a contact model is valid, so a foot may be up to 1 m outside.
+        Every state of a contact model is valid, so a foot may be up to 1 m outside. ``steps``, the control steps that
+        the episode has had, restores ``elapsed_steps`` too.
 
         Raises:
             TypeError, ValueError: unusable values. The environment is unchanged.
         """
-        self._place(self._parts, state, time, self.elapsed_steps)
+        if steps is None:
+            steps = 0 if self._over else self.elapsed_steps
+        steps = check.whole("steps", steps, at_least=0, at_most=self.episode_steps)
+        self._place(self._parts, state, time, steps)
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -227,7 +243,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         parts[0].reset(state, time)
         if self._renderer is not None and parts[0].scene != self.scene:
             self._renderer.show(parts[0].scene)
-        self._parts, self._started, self.elapsed_steps, self._impacts = parts, True, steps, None
+        self._parts, self._started, self._over = parts, True, steps >= self._limit
+        self.elapsed_steps, self._impacts = steps, None
         self._start_pictures()
 
     def step(self, action: AnyAction) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
@@ -270,7 +287,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if self._past is not None:
             self._past = self._past.later(np.array([[part.state for part in self.control_steps]]))
             whole = whole._replace(seen=self._pictures(self._past))
-        return whole.seen, whole.reward, whole.over, self.elapsed_steps >= self._limit, self._info(whole, made)
+        truncated = self.elapsed_steps >= self._limit
+        self._over = whole.over or truncated
+        return whole.seen, whole.reward, whole.over, truncated, self._info(whole, made)
 
     def _decide(
         self, torque: float | None, controls: Array | None, most: float

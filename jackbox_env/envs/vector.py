@@ -6,14 +6,12 @@ episodes restart.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +21,7 @@ from jackbox_env.envs.batch import Limits
 from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
-from jackbox_env.model.action import Action, Repeats
+from jackbox_env.model.action import EPISODE_STEPS, Action, Repeats, decisions_of
 from jackbox_env.model.observation import Observation
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import NUMBERS, Randomization
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from jackbox_env.envs.one_by_one import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
-_MOST_STEPS = 10**15  # float64 counts them all
 _alone = by_one_thread("a vector environment")
 
 
@@ -48,10 +45,10 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     """Many environments stepped together, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=1024)``.
 
     Environment i, seeded with s + i, equals the single environment with that seed, bit for bit and across restarts.
-    With ``contact="exact"`` and no ``render_mode``, physics, rewards and restarts are one compiled loop. Otherwise the
+    With ``fidelity="exact"`` and no ``render_mode``, physics, rewards and restarts are one compiled loop. Otherwise the
     environments are stepped one by one.
 
-    >>> envs = JackInBoxVectorEnv(3, contact="exact")
+    >>> envs = JackInBoxVectorEnv(3, fidelity="exact")
     >>> observations, infos = envs.reset(seed=0)
     >>> observations, rewards, terminated, truncated, infos = envs.step([0.5, 0.0, -0.5])
     >>> observations.shape, envs.times
@@ -59,7 +56,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
     Args:
         num_envs: number of environments N.
-        max_episode_steps: decisions (calls of ``step``) after which an episode is truncated; None: 500; -1: never.
+        max_episode_steps: decisions (calls of ``step``), after which an episode of ``episode_steps`` is cut short.
         autoreset_mode: when a finished episode restarts: the enum, its name or its value. ``NEXT_STEP``: the next step
             ignores the action, returns the new start and reward 0. ``SAME_STEP``: the step that ends it returns the new
             start, and the last observation in ``infos["final_obs"]``. ``DISABLED``: you restart it, by ``reset`` with a
@@ -67,8 +64,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
         with_infos: return the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact: "pymunk" or "exact", in place of a fidelity. From here on, the arguments of the single environment.
-        substeps: engine steps of pymunk per control step; None: 4.
+        contact, substeps: in place of a fidelity. From here on, the arguments of the single environment.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
         task: the name of one, or a :class:`Task`.
         control_dt: duration of a control step [s].
@@ -80,7 +76,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         observation: the name of one, an :class:`Observation`, or :class:`Pixels`.
         action: the name of one, or an :class:`Action`.
         action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
-        episode_steps: control steps of an episode, counted across decisions.
+        episode_steps: control steps of an episode, counted across decisions; None: no limit.
 
     Returned arrays are never written again. Ctrl-C in ``step``, ``reset`` or ``set_states`` leaves all environments as
     they were, or all as the whole call leaves them. While a thread is in
@@ -95,17 +91,15 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         **JackInBoxEnv.metadata, "render_modes": ["human", "rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }  # fmt: skip
 
-    observation, num_envs, max_episode_steps = Setting(), Setting(), Setting()
+    observation, num_envs = Setting(), Setting()
     autoreset_mode = Setting()  # TorchRL reads it here, Gymnasium in the metadata
     num_threads, with_infos = Setting(), Setting()
-
-    _spec: EnvSpec | None = None
 
     @check.refuse_unknown("the vector environment of JackInBox-v0", {}, FURTHER)
     def __init__(
         self,
         num_envs: int = 1,
-        max_episode_steps: int | None = 500,
+        max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int | None = None,
         with_infos: bool = False,
@@ -123,16 +117,10 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         observation: str | Observation | Pixels = "state",
         action: str | Action = "torque",
         action_repeat: Repeats = 1,
-        episode_steps: int | None = None,
+        episode_steps: int | None = EPISODE_STEPS,
         **settings: Any,
     ) -> None:
         num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
-        limit: float = math.inf
-        if max_episode_steps is None:  # as gymnasium.make: what is registered
-            limit = cast(int, gym.spec("JackInBox-v0").max_episode_steps)
-        elif not (isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1):
-            name = "max_episode_steps (-1: no limit)"
-            limit = check.whole(name, max_episode_steps, at_least=1, at_most=_MOST_STEPS)
         if num_threads is not None:
             num_threads = check.whole("num_threads", num_threads, at_least=1)
         if render_mode is not None:
@@ -151,17 +139,19 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         shown = render_mode if num_envs == 1 else None
         single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
         single.close()
+        decisions = decisions_of(single.episode_steps, action_repeat, max_episode_steps)
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         # MemoryError now, not after hours of construction
         np.empty(num_envs * contact_model(single.contact).room, dtype=np.uint8)
         self._settings = {
             **single._settings, "observation": observation, "randomize": randomize, "render_mode": render_mode,
-            "num_envs": num_envs, "max_episode_steps": -1 if limit == math.inf else limit, "autoreset_mode": self._mode,
+            "num_envs": num_envs, "max_episode_steps": decisions, "autoreset_mode": self._mode,
             "num_threads": num_threads, "with_infos": with_infos,
         }  # fmt: skip
         self._nouns, self._driven = single.nouns, torque == "chirp"
         self._terms = single.nouns.task.terms if self._with_infos else None
-        limits = Limits.of(single.repeat, limit, math.inf if single.episode_steps is None else single.episode_steps)
+        shorter = (max_episode_steps and decisions) or math.inf
+        limits = Limits.of(single.repeat, shorter, single.episode_steps or math.inf)
         self.metadata = {
             **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
         }  # fmt: skip
@@ -187,19 +177,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self._started = np.zeros(num_envs, dtype=np.bool_)  # which have been reset
         self._ready, self._waiting = False, False  # whether all have been reset, and an episode may be over
         self.changes = 0  # steps and resets so far
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """The spec from which ``gymnasium.make_vec`` makes the same environments."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        """Store a spec with the name of the mode in place of the enum, which has no JSON form."""
-        if spec is not None and isinstance(spec.kwargs.get("autoreset_mode"), AutoresetMode):
-            spec = copy.copy(spec)
-            spec.kwargs = {**spec.kwargs, "autoreset_mode": spec.kwargs["autoreset_mode"].name}
-        self._spec = spec
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ compiles their functions and those of a user, see ``exact/score.py``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Real
@@ -22,7 +23,8 @@ from jackbox_env.model.states import Array, Flags, State
 from jackbox_env.model.tasks import TaskError
 from jackbox_env.tools import checks as check
 
-EPISODE_STEPS = 500  # control steps of an episode, if actions are repeated and nothing else is chosen
+EPISODE_STEPS = 500  # control steps of an episode, unless another number is chosen
+MOST_STEPS = 10**15  # float64 counts them all
 _MOST_REPEATS = 1_000_000
 _FASTEST = 2e-6  # [s] of a control step, if an impact ends an action
 
@@ -39,7 +41,7 @@ class Action:
     >>> servo = Action(gym.spaces.Box(-0.5, 0.5, (1,)), towards)
 
     Like those of a :class:`jackbox_env.Task`, the function is plain arithmetic with ``math``, compiled under
-    ``contact="exact"``, where it is read once.
+    ``fidelity="exact"``, where it is read once.
 
     Attributes:
         space: a Box of shape (n,), or a Discrete that starts at 0.
@@ -196,12 +198,27 @@ def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:
     return Repeat(check.whole("action_repeat", action_repeat, at_least=1, at_most=_MOST_REPEATS), 0)
 
 
-def episode_limit(episode_steps: int | None, action_repeat: Repeats) -> int | None:
-    """Control steps of an episode; None: no limit.
+def most_decisions(episode_steps: int | None, action_repeat: Repeats) -> float:
+    """The most decisions that an episode of so many control steps may have; infinite without a limit."""
+    shortest = 1 if isinstance(action_repeat, str) else action_repeat
+    return math.inf if episode_steps is None else -(-episode_steps // shortest)
+
+
+def decisions_of(episode_steps: int | None, action_repeat: Repeats, max_episode_steps: int | None = None) -> int | None:
+    """Decisions after which an episode is truncated; None: there is no such number.
+
+    Args:
+        episode_steps: control steps of an episode; None: no limit.
+        action_repeat: control steps of a decision, or ``"bounce"``.
+        max_episode_steps: at most that many decisions; -1 if there is no limit; None: as ``episode_steps`` implies.
 
     Raises:
-        TypeError, ValueError: something else than None or a whole number of at least 1.
+        TypeError, ValueError: ``max_episode_steps`` is something else, or more than ``episode_steps`` implies.
     """
-    if episode_steps is None:
-        return None if action_repeat == 1 else EPISODE_STEPS
-    return check.whole("episode_steps", episode_steps, at_least=1, at_most=10**15)
+    most = most_decisions(episode_steps, action_repeat)
+    if max_episode_steps is None:
+        return None if most == math.inf or isinstance(action_repeat, str) else int(most)
+    if most == math.inf and isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1:
+        return None
+    name = f"max_episode_steps (shortens an episode of episode_steps={episode_steps})"
+    return check.whole(name, max_episode_steps, at_least=1, at_most=int(min(most, MOST_STEPS)))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import sys
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from jackbox_env.model.action import ACTIONS, Action
+from jackbox_env.model.action import ACTIONS, EPISODE_STEPS, Action, most_decisions
 from jackbox_env.model.observation import OBSERVATIONS, Observation
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Drive, Scene
@@ -302,9 +302,9 @@ def _storable(spec: EnvSpec) -> tuple[dict[str, Any], list[str]]:
     keywords = {**dict.fromkeys(KEYWORDS), **spec.kwargs}
     env = {name: _storable_value(name, value) for name, value in keywords.items() if name not in _PICTURES}
     missing = [name for name, value in env.items() if value is None and keywords[name] is not None]
-    decisions = spec.max_episode_steps or spec.kwargs.get("episode_steps")  # without a limit of decisions that of steps
-    if decisions not in (None, gym.spec("JackInBox-v0").max_episode_steps):
-        env["max_episode_steps"] = decisions
+    most = most_decisions(spec.kwargs.get("episode_steps", EPISODE_STEPS), spec.kwargs.get("action_repeat", 1))
+    if (spec.max_episode_steps or math.inf) < most:
+        env["max_episode_steps"] = spec.max_episode_steps
     plain: dict[str, Any] = json.loads(json.dumps(env, default=lambda number: number.tolist()))  # of numpy
     return {name: value for name, value in plain.items() if name not in missing}, missing
 

@@ -46,16 +46,16 @@ def make_sb3_vec_env(num_envs: int, **env_kwargs: Any) -> JackInBoxVecEnv:
     ``Monitor(gymnasium.make("JackInBox-v0", **env_kwargs))`` with the same seeds. An info has the decision's
     ``duration``, and at the end of an episode ``episode``, ``terminal_observation`` and ``TimeLimit.truncated``, which
     Stable-Baselines3 reads. With ``with_infos=True`` infos equal those of ``DummyVecEnv`` too, which takes longer. With
-    ``contact="exact"`` the environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``.
+    ``fidelity="exact"`` the environments are one compiled loop. Seed them by ``.seed(0)`` or by the model's ``seed``.
     Single environments are reached by ``get_attr("state")`` and
     ``env_method("set_state", state, time, indices=[i])``: see :class:`EnvView`.
 
-    >>> make_sb3_vec_env(4, contact="exact", task="spin").reset().shape
+    >>> make_sb3_vec_env(4, fidelity="exact", task="spin").reset().shape
     (4, 10)
 
     Args:
         num_envs: number of environments.
-        **env_kwargs: of the single environment, ``max_episode_steps`` (500), and of the vector one ``num_threads``,
+        **env_kwargs: of the single environment, and of the vector one ``max_episode_steps``, ``num_threads``,
             ``with_infos`` and a list of scenes.
 
     Raises:
@@ -239,8 +239,7 @@ class EnvView(Settings):
     def spec(self) -> EnvSpec:
         """The spec from which ``gymnasium.make`` makes the same single environment."""
         spec = copy.deepcopy(gym.spec("JackInBox-v0"))
-        limit = self._vector_env.max_episode_steps
-        spec.max_episode_steps = None if limit == -1 else limit
+        spec.max_episode_steps = self.max_episode_steps
         spec.kwargs = {name: value for name, value in self._keywords.items() if name not in _SHARED}
         if isinstance(spec.kwargs.get("scene"), Sequence):
             spec.kwargs["scene"] = spec.kwargs["scene"][self._number]

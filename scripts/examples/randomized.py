@@ -32,7 +32,7 @@ def main() -> None:
     from jackbox_env.sb3 import make_sb3_vec_env
 
     arguments = tyro.cli(Arguments, description=__doc__)
-    settings: dict[str, Any] = {"fidelity": "exact", "control_dt": 0.05, "max_episode_steps": 200}  # 10 s
+    settings: dict[str, Any] = {"fidelity": "exact", "control_dt": 0.05, "episode_steps": 200}  # 10 s
 
     def trained(**more: Any) -> PPO:
         envs = make_sb3_vec_env(64, **settings, **more)

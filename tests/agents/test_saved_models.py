@@ -26,7 +26,6 @@ from agents.training.models import derived_seed, make_ppo, make_vec_env
 from jackbox_env import Action, Drive, Observation, Scene, Task
 from jackbox_env.sb3 import Durations, load_model, make_sb3_vec_env, save_model
 from tests.agents.small_run import TINY
-from tests.script import script
 
 HERE = EnvSettings(fidelity="exact")
 COUNT = 3  # environments
@@ -125,8 +124,9 @@ def test_the_environment_is_stored_with_objects_by_name(tmp_path: Path) -> None:
     assert entry(tmp_path) == {
         "env": {**exact, **stored}, "missing": [], "wrappers": [], "algorithm": "stable_baselines3.ppo.ppo:PPO",
     }  # fmt: skip
-    save_model(PPO("MlpPolicy", native(episode_steps=600, max_episode_steps=-1)), tmp_path / "model.zip")
-    assert entry(tmp_path)["env"] == {**exact, "episode_steps": 600, "max_episode_steps": 600}
+    for unlimited in (native(episode_steps=600), single(episode_steps=600, max_episode_steps=700)):
+        save_model(PPO("MlpPolicy", unlimited), tmp_path / "model.zip")
+        assert entry(tmp_path)["env"] == {**exact, "episode_steps": 600}
     save_model(PPO("MlpPolicy", native(observation=HEIGHT, action=PUSH)), tmp_path / "model.zip")
     of_tests = {"observation": f"{__name__}:HEIGHT", "action": f"{__name__}:PUSH"}
     assert entry(tmp_path)["env"] == {**exact, **of_tests}
@@ -199,17 +199,6 @@ def test_models_share_a_folder_and_a_renamed_one_is_known(tmp_path: Path) -> Non
 
 class Other(gym.Wrapper[Any, Any, Any, Any]):
     """A wrapper that is not known."""
-
-
-# -- what does not fit -------------------------------------------------------------------------------------------------
-
-
-def test_a_model_plays_if_it_is_trusted(tmp_path: Path) -> None:
-    save_model(trained(native(task="spin")), tmp_path / "model.zip")
-    few = ["--policy", "model.zip", "--episodes", "1"]
-    varied = ["--task", "spin", "--randomize", '{"jack_mass": [2, 6]}']
-    assert script("evaluate", *few, "--trust", *varied, cwd=tmp_path).stdout.count("| model.zip") == 1
-    assert "use --trust" in script("evaluate", *few, cwd=tmp_path, status=2).stderr
 
 
 # -- loaded where there is no checkout of this project -----------------------------------------------------------------

@@ -39,7 +39,7 @@ with contextlib.suppress(ImportError):  # the others are compared where Stable-B
 class Row:
     """A single environment with a limit of decisions, which restarts as a row of a batch does."""
 
-    def __init__(self, env: JackInBoxEnv, limit: int, mode: AutoresetMode, with_infos: bool) -> None:
+    def __init__(self, env: JackInBoxEnv, limit: int | None, mode: AutoresetMode, with_infos: bool) -> None:
         self.env, self.limit, self.mode, self.with_infos = env, limit, mode, with_infos
         self.made, self.earned, self.over = 0, 0.0, False
         self.begun, self.listed = dict[str, Any](), dict[str, Any]()  # infos for Stable-Baselines3: of the start; now
@@ -54,9 +54,9 @@ class Row:
         return observation, self.begun
 
     def set_state(self, state: Any, time: float) -> None:
-        self.env.set_state(state, time)
+        self.env.set_state(state, time, 0 if self.over else None)
         if self.over:
-            self.made, self.over, self.env.elapsed_steps = 0, False, 0
+            self.made, self.over = 0, False
 
     def step(self, action: Any) -> tuple[Any, ...]:
         """What a batch returns for this row, the infos of the ended episode in its info."""
@@ -81,9 +81,8 @@ class Row:
         """Go on with an environment that gets scene, state, time, generator and the episode's steps, nothing else."""
         scene = {field.name: getattr(self.env.scene, field.name) for field in fields(Scene)}
         fresh.reset(seed=0, options={"scene": scene})
-        fresh.set_state(self.env.state, self.env.time)
-        fresh.np_random = copy.deepcopy(self.env.np_random)
-        fresh.elapsed_steps, self.env = self.env.elapsed_steps, fresh
+        fresh.set_state(self.env.state, self.env.time, self.env.elapsed_steps)
+        fresh.np_random, self.env = copy.deepcopy(self.env.np_random), fresh
 
 
 def overwrite(handed: Any) -> None:
@@ -130,7 +129,7 @@ class Alike:
         count: int,
         rows: Sequence[int],
         mode: AutoresetMode = AutoresetMode.SAME_STEP,
-        limit: int = -1,
+        limit: int | None = None,
         threads: Sequence[int | None] = (None, 2),
         with_infos: bool = True,
     ) -> None:

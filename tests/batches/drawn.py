@@ -80,11 +80,13 @@ def draw_setup(draw: random.Random, contact: str) -> dict[str, Any]:
         "episode_steps": draw.choice((None, draw.randint(3, 40))),
         "randomize": _draw_randomize(draw, scenes),
     }  # fmt: skip
+    most = (shared["episode_steps"] or 100) // (1 if repeat == "bounce" else repeat)
+    limits = [None, *(limit for limit in (1, 2, 5, 9) if limit <= most)]
     threads = draw.choice((None, 1, 2, 3)), draw.choice((None, 1, 2, 3))
     return {
         "shared": shared, "scenes": scenes, "count": count, "threads": threads,
         "rows": [0, 1, 2, 126, 127, 128, count - 1, draw.randint(0, count - 1)],
-        "mode": draw.choice(list(AutoresetMode)), "limit": draw.choice((-1, 1, 2, 5, 9)),
+        "mode": draw.choice(list(AutoresetMode)), "limit": draw.choice(limits),
         "with_infos": draw.choice((True, False)),
     }  # fmt: skip
 

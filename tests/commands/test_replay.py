@@ -73,7 +73,7 @@ def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
 def test_a_text_or_link_replays_with_the_environments_rewards(link: bool) -> None:
     shared = read_game(f"https://a.b/play.html#{quote(text())}" if link else text())
     assert (repr(shared.shares), shared.start.tolist(), shared.task) == (repr(SHARES), START, "rattle")
-    env: Any = gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, max_episode_steps=-1)
+    env: Any = gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, episode_steps=None)
     env.reset(options={"state": START})
     rewards = [env.step(None if share is None else np.array([share]))[1] for share in SHARES]
     assert sum(map(abs, rewards)) > 1.0

@@ -50,27 +50,6 @@ def test_a_decision_adds_up_its_control_steps(contact: str, repeat: Repeats) -> 
         assert reward == pytest.approx(sum(part[1] for part in parts))
 
 
-# -- episodes ---------------------------------------------------------------------------------------------------------
-
-
-@EVERY_MODEL
-def test_an_episode_lasts_for_its_control_steps(contact: str) -> None:
-    env = JackInBoxEnv(contact=contact, action_repeat=4, episode_steps=10)
-    env.reset(seed=0)
-    ends = [env.step(0.0)[2:] for _ in range(3)]
-    assert [truncated for _, truncated, _ in ends] == [False, False, True]
-    assert [info["duration"] for *_, info in ends] == [0.08, 0.08, 0.04]
-    env.reset()
-    for _ in range(3):
-        env.set_state(np.zeros(12))  # keeps the count
-        truncated = env.step(None)[3]
-    assert truncated
-    assert (JackInBoxEnv(action_repeat=2).episode_steps, JackInBoxEnv().episode_steps) == (500, None)
-    limited = made(contact=contact, action_repeat=4, max_episode_steps=2)
-    limited.reset(seed=0)
-    assert [limited.step(None)[3] for _ in range(2)] == [False, True]
-
-
 # -- landings ---------------------------------------------------------------------------------------------------------
 
 

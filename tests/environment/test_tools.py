@@ -48,21 +48,6 @@ def test_human_mode_needs_no_render_calls_and_no_mode_no_picture() -> None:
         assert gym.make("JackInBox-v0").unwrapped.render() is None
 
 
-def test_a_limit_of_none_is_the_registered_one_and_of_minus_one_there_is_none() -> None:
-    sb3 = pytest.importorskip("jackbox_env.sb3")
-    for limit, steps in ((None, 500), (7, 7), (-1, None)):
-        single: Any = gym.make("JackInBox-v0", max_episode_steps=limit)
-        vector: Any = gym.make_vec("JackInBox-v0", max_episode_steps=limit, autoreset_mode="DISABLED")
-        batch = sb3.make_sb3_vec_env(1, max_episode_steps=limit)
-        assert batch.get_attr("spec")[0].max_episode_steps == steps
-        assert batch.vector_env.max_episode_steps == vector.max_episode_steps == (steps or -1)
-        lengths = []
-        for env in (single, vector, batch.vector_env):
-            env.reset(seed=0)
-            lengths.append([step for step in range(1, 8) if np.any(env.step([0.0])[3])])
-        assert lengths == [[7] if limit == 7 else []] * 3
-
-
 def test_single_environments_of_stable_baselines_have_a_spec_that_makes_each_again() -> None:
     sb3 = pytest.importorskip("jackbox_env.sb3")
     scenes = [{"gravity": 1.0}, {"gravity": 2.0}]
@@ -71,7 +56,6 @@ def test_single_environments_of_stable_baselines_have_a_spec_that_makes_each_aga
         assert (spec.id, spec.max_episode_steps) == ("JackInBox-v0", 70)
         again: Any = gym.make(spec)
         assert (again.unwrapped.scene.gravity, again.unwrapped.task) == (1.0 + number, "spin")
-    assert sb3.make_sb3_vec_env(1, max_episode_steps=-1).get_attr("spec")[0].max_episode_steps is None
     assert gym.spec("JackInBox-v0").kwargs == {}
 
 

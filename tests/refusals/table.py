@@ -217,7 +217,7 @@ def methods_of(contact: str) -> Iterator[Row]:
             alone,
         ),
         ("JackInBoxEnv.step", {"action": ACTION}, alone),
-        ("JackInBoxEnv.set_state", {"state": held, "time": time}, alone),
+        ("JackInBoxEnv.set_state", {"state": held, "time": time, "steps": whole(7, 0, 500, none=True)}, alone),
         ("JackInBoxVectorEnv.reset", {**options, **first, FROM: rows_of(array(ROWS, none=True), 1e-9)}, batch),
         ("JackInBoxVectorEnv.check_reset", first, batch),
         ("JackInBoxVectorEnv.scene_of", {"number": whole(1, 0, 2)}, batch),
@@ -276,14 +276,13 @@ SETTINGS: Kinds = {
     ),
     "episode_steps": whole(100, 1, 10**15, none=True),
 }
-STEPS = replace(whole(100, 1, 10**15, none=True), accepted=(-1, 1, None))
 OF_VECTORS: Kinds = {
     **SETTINGS,
     "num_envs": whole(2, 1, 10**9),
     "render_mode": choice("rgb_array", ("human", "rgb_array"), none=True).but(
         human=out("human", "several", "'human'"), list_of_frames=out("rgb_array_list", "'rgb_array_list'")
     ),
-    "max_episode_steps": STEPS,
+    "max_episode_steps": whole(None, 1, 50, none=True),  # decisions of 2 of 100 control steps
     "num_threads": THREADS,
     "with_infos": flag(False),
     "scene": SCENES.but(short=out([None], "list of 2", "1 of them")),

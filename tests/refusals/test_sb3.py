@@ -134,9 +134,9 @@ LEARNING = [
         "'episode_steps', got 'gravity'",
     ),
     Refusal(
-        lambda _: make_sb3_vec_env(1, max_episode_steps=0),
+        lambda _: make_sb3_vec_env(1, max_episode_steps=126, action_repeat=4),
         ValueError,
-        "max_episode_steps (-1: no limit) must be a whole number from 1 to 1000000000000000, got 0",
+        "max_episode_steps (shortens an episode of episode_steps=500) must be a whole number from 1 to 125, got 126",
     ),
     Refusal(
         lambda envs: envs.step(np.zeros((2, 1))),

@@ -69,9 +69,13 @@ COMMANDS = [
         "--env action_repeat is for model files and functions, got level",
     ),
     refused(
-        evaluates("--policy", "level", "--env", "max_episode_steps=-1"),
-        "episodes must have one number of control steps, got inf to inf with max_episode_steps -1: "
-        "use --env episode_steps=500",
+        evaluates("--policy", "level", "--env", "max_episode_steps=501"),
+        "max_episode_steps (shortens an episode of episode_steps=500) must be a whole number from 1 to 500, got 501",
+    ),
+    refused(
+        evaluates("--policy", "level", "--env", "episode_steps=null"),
+        "episodes must have one number of control steps, got at most inf in at most inf decisions: use --env "
+        "episode_steps=500",
     ),
     refused(
         evaluates("--policy", "level", "--env", "repeat=4"),

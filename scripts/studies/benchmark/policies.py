@@ -14,9 +14,10 @@ from agents.evaluation.returns import evaluate
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.runs import machine, versions
-from agents.settings import EPISODE_STEPS, EnvSettings
+from agents.settings import EnvSettings
 from agents.training.models import derived_seed
 from jackbox_env import Chirp, JackInBoxVectorEnv, Scene
+from jackbox_env.model.action import EPISODE_STEPS
 from jackbox_env.model.states import X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from scripts.studies.benchmark.trainings import SEED, SETTINGS
 

@@ -43,7 +43,7 @@ def _juggled(scene: Any, state: Any, torque: float, impulse: float) -> tuple[flo
 
 
 LONG = Scene(jack_arm=8.0)
-_RESTARTING: dict[str, Any] = {"max_episode_steps": 1, "autoreset_mode": "SAME_STEP"}
+_RESTARTING: dict[str, Any] = {"episode_steps": 1, "autoreset_mode": "SAME_STEP"}
 # These scenes differ by so little that the motion is that of the default scene.
 _SCENES = [Scene(gravity=9.81 + 1e-9 * number) for number in range(TOGETHER)]
 _RANGES = {"jack_mass": (4.0, 4.0 + 1e-6), "gravity": (9.81, 9.81 + 1e-6)}
@@ -88,7 +88,7 @@ def stepped(contact: str, count: int, seconds: float, frames: bool = False, **se
 
     With ``frames`` one is drawn after each step.
     """
-    keywords = {"contact": contact, "max_episode_steps": 10**9, **settings}
+    keywords = {"contact": contact, "episode_steps": None, **settings}
     scene, every = LONG if settings.get("scene") is LONG else Scene(), 4 if count <= FEW else 40
     trajectories, _, torques = play(max(count, FEW), scene)
     states, actions = trajectories[:, :-1:every], (torques[:, ::every, None] / scene.torque_limit).astype(np.float32)

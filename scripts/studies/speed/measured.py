@@ -240,7 +240,7 @@ def threads(cores: int, seconds: float) -> dict[str, Timed]:
     """Batches of any size and a rollout, timed by the wall clock: two threads should need half the time."""
 
     def of(size: int, threads: int) -> Timed:
-        settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "max_episode_steps": 10**9}
+        settings: dict[str, Any] = {"contact": "exact", "num_threads": threads, "episode_steps": None}
         env, states = vector_env("JackInBox-v0", size, **settings), moments(size)
         steps = max(5, min(SHORT, 2**22 // size))
         return many(env, seconds, steps, lambda: env.unwrapped.set_states(states, 0.0), time.perf_counter)
