@@ -32,7 +32,7 @@ class Grid:
     """What is rewarded: juggle, spin, rattle, or tasks of your own, file.py:name."""
     setting: tuple[str, ...] = ("exact",)
     (
-        'Fidelities, or settings of the environment as JSON, e.g. \'{"contact": "pymunk", "substeps": 8}\'; with '
+        "Fidelities, or settings of the environment as JSON, e.g. '{\"control_dt\": 0.05}'; with "
         "--train, and for functions and model files, also observation, action (or your file.py:name) and action_repeat."
     )
     scene: tuple[str, ...] = ("{}",)

@@ -42,7 +42,7 @@ class Observation:
     >>> height = Observation(("height",), -1.0, 1.0, heights)
 
     Like those of a :class:`jackbox_env.Task`, the function is plain arithmetic with ``math``, compiled under
-    ``contact="exact"``, where it is read once. A NaN raises :class:`jackbox_env.TaskError` and changes nothing.
+    ``fidelity="exact"``, where it is read once. A NaN raises :class:`jackbox_env.TaskError` and changes nothing.
 
     Attributes:
         names: of the numbers, different words.

@@ -3,7 +3,7 @@
 A task's functions have the arguments scene, state after the step, mean torque over the step [N m] and impulse of the
 step's impacts [N s]. One returns the values of the task's named terms, whose sum is the reward. The other returns
 whether the episode is over. Every reward of the tasks here lies in [-1, 1], and none of them ends an episode. The
-functions are plain arithmetic: with ``contact="exact"`` they are compiled.
+functions are plain arithmetic: with ``fidelity="exact"`` they are compiled.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Task:
     ...     return (state.y_jack - state.y_box) / scene.box_half_width
     >>> lift = Task(("lift",), height)
 
-    Under ``contact="exact"`` each Task, Observation and Action reads its functions once, when it is first used: the
+    Under ``fidelity="exact"`` each Task, Observation and Action reads its functions once, when it is first used: the
     plain functions that they call, globals, closures, defaults and the contents of arrays as they are then. All
     environments, batches and rollouts use what was read. After a change make a new Task, which reads them anew. With
     pymunk the functions are called as they are now.

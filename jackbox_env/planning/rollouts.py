@@ -146,7 +146,7 @@ def rollout(
 ) -> Array | Rollout[Any, Any]:
     """Simulate sequences of torques from many states by the exact contact model.
 
-    Each torque is constant for ``dt``. The states equal those of ``make_simulator(scene, contact="exact")`` bitwise.
+    Each torque is constant for ``dt``. The states equal those of ``make_simulator(scene, fidelity="exact")`` bitwise.
 
     >>> torques = np.zeros((2, 60))  # two sequences of 1.2 s
     >>> played = rollout(None, np.zeros(12), torques, dt=0.02, rewards="juggle", impacts=True)

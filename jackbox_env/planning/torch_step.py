@@ -22,7 +22,7 @@ def step(
     scene: OneOrMore, states: Tensor, actions: Tensor, dt: float = 0.02, *, task: str = "juggle",
     nonsmooth: str = "raise",
 ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-    """One control step of an environment with ``contact="exact"``, differentiable by PyTorch.
+    """One control step of an environment with ``fidelity="exact"``, differentiable by PyTorch.
 
     Not supported: ``torch.func``, ``torch.vmap``, ``torch.compile``, second derivatives.
 

@@ -4,7 +4,7 @@ A stored state is the end of a control step, and impacts happen within steps. He
 (:mod:`jackbox_env.simulators.replay`) by flight in closed form and the recorded impulses. There is a sample just before
 and just after each impact, so the animated page draws impacts without a contact model.
 
-Exactness: rounding with ``contact="exact"``. With pymunk an impact is where the engine resolved it, at the end of a
+Exactness: rounding with ``fidelity="exact"``. With pymunk an impact is where the engine resolved it, at the end of a
 substep, with the foot inside the wall. A step in which a foot rests on a wall has samples at its impacts alone.
 """
 

@@ -25,7 +25,7 @@ class Impact(NamedTuple):
     """One impact of one foot on one wall, a named tuple.
 
     >>> from jackbox_env import make_simulator
-    >>> simulator = make_simulator({"drive": None}, contact="exact")
+    >>> simulator = make_simulator({"drive": None}, fidelity="exact")
     >>> simulator.reset([0.0] * 12)  # the jack falls 5 m
     >>> hit = simulator.step(1.2).impacts[0]
     >>> round(hit.time, 6), hit.wall, hit.foot, round(hit.impulse, 2)
@@ -88,7 +88,7 @@ class Simulator(ABC):
     another thread is in one of them.
 
     >>> from jackbox_env import make_simulator
-    >>> simulator = make_simulator({"gravity": 10.0}, contact="exact")
+    >>> simulator = make_simulator({"gravity": 10.0}, fidelity="exact")
     >>> simulator.reset([0, 0, 0, 0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # 0.1 m above the floor
     >>> state, time, torque, impacts = simulator.step(0.02)
     >>> [(impact.wall, impact.foot) for impact in impacts]

@@ -17,7 +17,7 @@ iterations = parser.parse_args().iterations
 ray.init("local", num_cpus=3, include_dashboard=False)  # whatever cluster this machine is in
 config = (
     PPOConfig()
-    .environment("jackbox_env:JackInBox-v0", env_config={"contact": "exact"})
+    .environment("jackbox_env:JackInBox-v0", env_config={"fidelity": "exact"})
     .env_runners(
         num_env_runners=2, num_envs_per_env_runner=8, gym_env_vectorize_mode="vector_entry_point"
     )
