@@ -169,7 +169,7 @@ def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
         "index": [f"earns {level}"],
         "start": [f"a PD controller earns {level}", f"reaches {ppo}"],
         "lesson": [f"who beats {level}?"],
-        "tasks": [
+        "make_it_yours": [
             f"{best_upright():.0f} at best",
             f"About {results['spin_bound']:.0f} of",
             f"earns {earned['juggle', 'zero']:.0f}",
