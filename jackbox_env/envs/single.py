@@ -28,7 +28,7 @@ from jackbox_env.model.action import ACTIONS, Action, Repeats, action_of, clippe
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.observation import Observation, seen_of
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.render.raster import Past
@@ -217,10 +217,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         """The scene of the next episode."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
-        if self._randomize is None:
-            return self.scene if changes is None else self._first_scene.changed(**changes)
-        drawn = self._randomize.draw(self._first_scene, generator)
-        return self._first_scene.changed(**{**drawn, **(changes or {})})
+        if self._randomize is None and changes is None:
+            return self.scene
+        return next_scene(self._first_scene, self._randomize, generator, changes or {})
 
     def _place(self, parts: tuple[Simulator, Functions], state: ArrayLike, time: float, steps: int = 0) -> None:
         """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
