@@ -116,7 +116,6 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in nouns.task.terms]
-        self._drawn = self._randomize.names if self._randomize else []  # fields of the scene, in info
         self.observation_space = nouns.space
         self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
@@ -383,8 +382,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         }  # fmt: skip
         for name, value in zip(self._terms, terms):  # noqa: B905  # strict=True takes half as long as the physics
             info[name] = value
-        if self._drawn:
-            info["scene"] = {name: getattr(self.scene, name) for name in self._drawn}
+        if self._randomize is not None and (names := self._randomize.names):
+            info["scene"] = {name: getattr(self.scene, name) for name in names}
         return info
 
     def _pictures(self, past: Past) -> Seen:
