@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
@@ -14,6 +16,8 @@ from jackbox_env.model.action import ACTIONS, Action
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Flags, as_start
 from jackbox_env.tools import checks as check
+
+_MOST_STEPS = 10**15  # float64 counts them all
 
 
 class Arguments:
@@ -157,6 +161,19 @@ def plan_of(
         states = arguments.states("options['state']", options["state"], chosen, as_start)
     changes = None if options.get("scene") is None else arguments.changes(options["scene"], chosen)
     return ResetPlan(chosen, arguments.seeds(seed), changes, states, times)
+
+
+def decisions_of(max_episode_steps: int | None) -> float:
+    """Decisions after which an episode is truncated, from the argument of a batch; infinite: never.
+
+    Raises:
+        TypeError, ValueError: something else than None, -1 or a whole number from 1 on.
+    """
+    if max_episode_steps is None:  # as gymnasium.make: what is registered
+        return cast(int, gym.spec("JackInBox-v0").max_episode_steps)
+    if isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1:
+        return math.inf
+    return check.whole("max_episode_steps (-1: no limit)", max_episode_steps, at_least=1, at_most=_MOST_STEPS)
 
 
 def options_of(options: Any, names: Sequence[str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,9 +18,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
+from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, decisions_of, plan_of
 from jackbox_env.envs.batch import Limits
-from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
+from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
+from jackbox_env.envs.one_by_one import SingleBatch
 from jackbox_env.envs.settings import Setting, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats
@@ -37,10 +38,8 @@ from jackbox_env.tools.one_thread import ThreadNote, by_one_thread
 
 if TYPE_CHECKING:
     from jackbox_env.envs.compiled_batch import ExactBatch
-    from jackbox_env.envs.one_by_one import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
-_MOST_STEPS = 10**15  # float64 counts them all
 _alone = by_one_thread("a vector environment")
 
 
@@ -67,24 +66,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
         with_infos: return the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact: "pymunk" or "exact", in place of a fidelity. From here on, the arguments of the single environment.
-        substeps: engine steps of pymunk per control step; None: 4.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
-        task: the name of one, or a :class:`Task`.
-        control_dt: duration of a control step [s].
-        torque: "agent": the actions are torques; "chirp": the scene's drive acts, and actions are ignored.
-        fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
-        randomize: fields of the scenes that each environment draws at each reset.
-        render_size: width and height of each environment's frame [pixels].
-        render_overlay: False: frames show box, jack and ruled lines alone.
-        observation: the name of one, an :class:`Observation`, or :class:`Pixels`.
-        action: the name of one, or an :class:`Action`.
-        action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
-        episode_steps: control steps of an episode, counted across decisions.
+
+    The other arguments are those of :class:`JackInBoxEnv`. With ``action_repeat="bounce"`` the environments' times
+    differ.
 
     Returned arrays are never written again. Ctrl-C in ``step``, ``reset`` or ``set_states`` leaves all environments as
-    they were, or all as the whole call leaves them. While a thread is in
-    ``step``, ``reset``, ``set_states``, ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
+    they were, or all as the whole call leaves them. While a thread is in ``step``, ``reset``, ``set_states``,
+    ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -127,12 +116,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         **settings: Any,
     ) -> None:
         num_envs = check.whole("num_envs", num_envs, at_least=1, at_most=_MOST_ENVS)
-        limit: float = math.inf
-        if max_episode_steps is None:  # as gymnasium.make: what is registered
-            limit = cast(int, gym.spec("JackInBox-v0").max_episode_steps)
-        elif not (isinstance(max_episode_steps, int | np.integer) and max_episode_steps == -1):
-            name = "max_episode_steps (-1: no limit)"
-            limit = check.whole(name, max_episode_steps, at_least=1, at_most=_MOST_STEPS)
+        limit = decisions_of(max_episode_steps)
         if num_threads is not None:
             num_threads = check.whole("num_threads", num_threads, at_least=1)
         if render_mode is not None:
@@ -148,8 +132,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "observation": observation, "action": action, "action_repeat": action_repeat,
             "episode_steps": episode_steps,
         }  # fmt: skip
-        shown = render_mode if num_envs == 1 else None
-        single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
+        single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=render_mode if num_envs == 1 else None)
         single.close()
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
         # MemoryError now, not after hours of construction
@@ -160,7 +143,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "num_threads": num_threads, "with_infos": with_infos,
         }  # fmt: skip
         self._nouns, self._driven = single.nouns, torque == "chirp"
-        self._terms = single.nouns.task.terms if self._with_infos else None
+        self._terms = single.nouns.task.terms if self._with_infos else None  # in infos
         limits = Limits.of(single.repeat, limit, math.inf if single.episode_steps is None else single.episode_steps)
         self.metadata = {
             **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
@@ -177,13 +160,11 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
                 num_threads, drawn,
             )  # fmt: skip
         else:
-            from jackbox_env.envs.one_by_one import SingleBatch
-
             self._batch = SingleBatch(
                 scenes, num_envs, limits, self._with_infos, drawn, render_mode=render_mode, **settings
             )
         self._inside, self._randomize = ThreadNote(), drawn
-        self._seeds = [-1] * num_envs  # -1 where none was given
+        self._seeds = dict[int, int]()  # of the environments that one was given
         self._started = np.zeros(num_envs, dtype=np.bool_)  # which have been reset
         self._ready, self._waiting = False, False  # whether all have been reset, and an episode may be over
         self.changes = 0  # steps and resets so far
@@ -245,7 +226,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._observed(np.arange(self.num_envs))
 
     def _observed(self, numbers: Indices) -> Floats:
-        """The observations of some environments in their rows."""
         observations = self._nouns.unfilled(self.num_envs)
         self._batch.observe(numbers, observations)
         return observations
@@ -291,7 +271,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The environments' seeds, -1 where none was given."""
-        return tuple(self._seeds)
+        return tuple(self._seeds.get(number, -1) for number in range(self.num_envs))
 
     @_alone
     def reset(
@@ -316,14 +296,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             starts = starts._replace(states=placed[numbers])
         observations = self._observed(np.flatnonzero(~plan.chosen))
         after: Any = self._batch.prepare_starts(starts._replace(times=plan.times[numbers]), observations)
-        known = list(self._seeds)
-        for number, new in zip(numbers.tolist(), seeds, strict=True):
-            known[number] = known[number] if new is None else new
+        new = {number: seed for number, seed in zip(numbers.tolist(), seeds, strict=True) if seed is not None}
         self.changes += 1
         self._batch.commit(after)
-        self._seeds, self._started = known, self._started | plan.chosen
+        self._seeds, self._started = self._seeds | new, self._started | plan.chosen
         self._ready = bool(self._started.all())
-        infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
+        infos = masked(infos_at_start(self._terms, self._batch, plan.chosen) | self._drawn(plan.chosen), plan.chosen)
         return observations, infos if self._with_infos else NoInfos(infos)
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
@@ -351,8 +329,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if not (actions is None or self._driven):
             checked = self._arguments.actions(self._nouns.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
-        restarting = waiting
-        outcome = self._batch.prepare_step(checked)
+        outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended
@@ -364,7 +341,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._batch.commit(after)
         if restarting is not None:
-            starting = self._infos_at_start(restarting)
+            starting = infos_at_start(self._terms, self._batch, restarting)
             for name in starting.keys() & outcome.infos.keys():
                 outcome.infos[name][restarting] = starting[name][restarting]
         infos |= masked(outcome.infos | self._drawn(self._started), self._started)
@@ -376,6 +353,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if self.render_mode is None:
             gym.logger.warn('render needs a render_mode, e.g. render_mode="rgb_array": there is no picture')
             return None
+        assert isinstance(self._batch, SingleBatch)
         return self._batch.render()
 
     def tiled(self, first: int = 16, size: tuple[int, int] = (128, 128)) -> NDArray[np.uint8]:
@@ -394,17 +372,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of this object.
-
-        Raises:
-            AttributeError: the attribute is a setting, the scene or the states; the message has the remedy.
-        """
+        """Set an attribute of this object; a setting, the scene or the states raise AttributeError with the remedy."""
         setattr(self, name, values)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderers."""
-        if hasattr(self, "_batch"):  # a refused construction is closed too, by older Gymnasiums
-            self._batch.close()
+        batch = getattr(self, "_batch", None)  # a refused construction is closed too, by older Gymnasiums
+        if isinstance(batch, SingleBatch):
+            batch.close()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -418,12 +393,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             over = f"{int(waiting.sum())} of {self.num_envs} are over"
             raise RuntimeError(f"with autoreset_mode DISABLED, {how}; {over}")
         return waiting
-
-    def _infos_at_start(self, chosen: Flags) -> Infos:
-        """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
-        if self._terms is None:
-            return blank(None, self.num_envs)
-        return infos_at_start(self._terms, self.states, self.times, chosen)
 
     def _drawn(self, chosen: Flags) -> Infos:
         """The present values of the randomized fields of some environments' scenes; empty without any or infos."""

@@ -114,6 +114,16 @@ LEFT = 28  # whether a row is left to be stepped alone
 SCRATCH = 29
 
 
+def column_of(blocks: Array, row: int, count: int) -> Array:
+    """A copy of one row of blocks, such as ``TIME``, shape (N,)."""
+    return blocks[:, row].reshape(-1)[:count].copy()
+
+
+def states_of(blocks: Array, count: int) -> Array:
+    """A copy of the states in blocks, shape (N, 12)."""
+    return blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[:count]
+
+
 @cache
 def _layout(record: type[np.record]) -> np.dtype[Any]:
     """The layout of a record with these fields, with the shapes of arrays, and of records within it."""
