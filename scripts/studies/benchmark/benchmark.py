@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import product
@@ -43,8 +42,6 @@ Rows = list[dict[str, Any]]
 class Arguments(study.Arguments):
     """Train what is not stored yet, evaluate, and write the page."""
 
-    runs: Path | None = Path("runs/benchmark")
-    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     algorithms: tuple[str, ...] = ALGORITHMS
     """Algorithms to train."""
     tasks: tuple[str, ...] = TRAINED
@@ -273,20 +270,6 @@ def _table(record: study.Record, contact: str) -> str:
         spent = max(row["milliseconds"] for row in rows.values())
         lines.append((name, *(cell(rows[task]) for task in TRAINED), f"{spent:.2g}"))
     return table(("policy", *TRAINED, "ms"), lines)
-
-
-def for_the_readme(record: study.Record) -> str:
-    """The README's sentence on training."""
-    rows = compared(record)
-    others = {of: row for of, row in rows.items() if row["verdict"]}
-    longer = [row["seconds"] / rows[task, "exact"]["seconds"] for (task, _), row in others.items()]
-    kinds = Counter(row["verdict"].partition(":")[0] for row in others.values())
-    differing = ", ".join(f"{kinds[kind]} {kind}" for kind in (BETTER, WORSE, "undecided") if kinds[kind])
-    return (
-        f"PPO takes {min(longer):.0f} to {max(longer):.0f} times as long to train on pymunk. Judged on `exact`, it "
-        f"then earns the same within {WITHIN} as PPO trained on `exact` in {kinds[EQUAL]} of "
-        f"[{len(others)} comparisons](docs/benchmark.md#what-a-fidelity-does){f' ({differing})' if differing else ''}."
-    )
 
 
 def _range(values: Interval, digits: int = 1) -> str:
