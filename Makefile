@@ -151,9 +151,9 @@ ranges: .venv/ready
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
 
-# Words of README and of the pages in docs/, tables and code included.
+# Words of README, changelog and pages, tables and code included.
 words:
-	@cat README.md docs/*.md | wc -w
+	@cat README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/*/*.md | wc -w
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py
