@@ -20,7 +20,7 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import replacing
 from scripts.studies import study
 from scripts.studies.benchmark import policies, trainings
-from scripts.studies.benchmark.trainings import ALGORITHMS, DECISIONS, JUDGES, SETTINGS, SHIPPED_PPO
+from scripts.studies.benchmark.trainings import ALGORITHMS, DECISIONS, SETTINGS, SHIPPED_PPO
 from scripts.studies.pages import cell, label_ends, table
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -150,12 +150,12 @@ def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
     for task, fidelity in product(DECISIONS, FIDELITIES):
         if not (some := means.get((task, fidelity))):
             continue
-        on = {judge: np.array([row["earned"][judge] for row in some]) for judge in JUDGES}
+        on_exact = np.array([row["earned"]["exact"] for row in some])
         best = np.array([row["earned"]["exact"] for row in means[task, "exact"]])
         above = float(_middle(best)) - earned(record, task, "zero")
-        difference = interval(lambda one, other: _middle(one) - _middle(other), on["exact"], best)
+        difference = interval(lambda one, other: _middle(one) - _middle(other), on_exact, best)
         rows[task, fidelity] = {
-            "earns": {judge: interval(_middle, values) for judge, values in on.items()},
+            "earns": interval(_middle, on_exact),
             "share": None if fidelity == "exact" else [100.0 * part / above for part in difference],
             "verdict": "",
             "seconds": float(np.mean([row["processor_seconds"] for row in some])),
@@ -233,9 +233,9 @@ def filled(record: study.Record) -> dict[str, Any]:
         "within": WITHIN,
         "decisions": DECISIONS,
         "fidelities": table(
-            ("task", "trained on", *(f"earns on {judge}" for judge in JUDGES), "against exact", "verdict", "seconds"),
+            ("task", "trained on", "earns on exact", "against exact", "verdict", "seconds"),
             [
-                (task, fidelity, *map(_range, row["earns"].values()), _against(row), row["verdict"],
+                (task, fidelity, _range(row["earns"]), _against(row), row["verdict"],
                  f"{row['seconds']:.0f}")
                 for (task, fidelity), row in fidelities.items()
             ],
@@ -246,14 +246,12 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 
 def _missing(record: study.Record) -> Iterable[str]:
-    """The trainings that are not stored yet."""
+    """The algorithms and settings of which trainings are not stored yet."""
     for setting, (name, count) in product(SETTINGS, SEEDS.items()):
         by_task = of_algorithms(record, setting).get(name, {})
-        lacking = [
-            f"{task} {count - len(by_task.get(task, []))}" for task in TRAINED if len(by_task.get(task, [])) < count
-        ]
+        lacking = sum(count - len(by_task.get(task, [])) for task in TRAINED)
         if lacking and (setting == "default" or name in HARDER):
-            yield f"{name} ({setting}: {', '.join(lacking)})"
+            yield f"{lacking} of {name} ({setting})"
 
 
 def _rollouts(searches: dict[str, dict[str, Any]]) -> str:

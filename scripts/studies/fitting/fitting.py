@@ -1,7 +1,7 @@
 """Write docs/fitting.md: how often the intervals of fits contain the truth, and what fits cost.
 
-900 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and the
-recordings of a camera.
+900 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
+the recordings of a camera.
 """
 
 from __future__ import annotations
