@@ -360,7 +360,7 @@ def _scenes_played(
     compiled(spread)(values, dt, scene_params, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
-    if not np.isin(kinds, WITH_PIECES).any():
+    if not any(kind in WITH_PIECES for kind in kinds.tolist()):  # np.isin takes longer than a short rollout
         return Scenes(values, scene_params, kinds, *NO_PIECES)
     starts, steps = np.broadcast_to(times[0], len(scenes)), np.full(len(scenes), len(times) - 1)
     return Scenes(values, scene_params, kinds, *cut(drives, kinds, starts, steps, dt, torque))
