@@ -12,7 +12,7 @@ from jackbox_env import Impact, make_simulator
 from jackbox_env.commands.game import Game, read_game
 from jackbox_env.mechanics import gaps
 from scripts.studies.baselines import threshold
-from tests.states import Array
+from tests.states import Array, started
 
 DOCS = Path(__file__).parents[1] / "docs"
 LESSON = (DOCS / "lesson.md").read_text()
@@ -22,8 +22,7 @@ DROP, LOSS, SPIN, AGAIN, WEDGE, LEANING, NEARER, SPUN, WEIGHTLESS, LIGHT, LASTIN
 
 def played(game: Game, seconds: float) -> tuple[Array, list[Impact]]:
     """States every 0.02 s, and impacts, of a scene under no torque."""
-    simulator = make_simulator(game.scene.changed(drive=None), contact="exact")
-    simulator.reset(game.start)
+    simulator = started(make_simulator(game.scene.changed(drive=None), contact="exact"), game.start)
     states, impacts = [np.array(simulator.state)], list[Impact]()
     for _ in range(round(seconds / 0.02)):
         simulator.step(0.02)
@@ -86,8 +85,7 @@ def test_without_gravity() -> None:
 
 
 def test_the_usual_program_pulls_the_jack_down_and_loses_it() -> None:
-    program = threshold.Model(SPUN.scene.changed(drive=None), substeps=1)
-    program.reset(SPUN.start)
+    program = started(threshold.Model(SPUN.scene.changed(drive=None), substeps=1), SPUN.start)
     impacts = list[Impact]()
     while program.time < 3.545:
         program.step(0.01)

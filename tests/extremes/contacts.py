@@ -19,7 +19,7 @@ from tests.extremes.measures import (
     steps,
 )
 from tests.extremes.page import Bound, Finding, case, within
-from tests.states import WEIGHTLESS, Array, inside, lying, one_foot_on_wall, several_contacts
+from tests.states import WEIGHTLESS, Array, at, inside, lying, one_foot_on_wall, several_contacts
 
 LIGHT = Scene(gravity=0.0, drive=None, jack_inertia=0.004)
 RATIOS = [Scene(gravity=0.0, drive=None, jack_mass=400.0 * 10.0**power) for power in range(-9, 10, 3)]
@@ -129,8 +129,7 @@ def a_jack_that_loses_energy_comes_to_rest(contact: str) -> Finding:
     speed = moved = lifted = above = 0.0
     for restitution in (0.0, 0.5):
         scene = Scene(restitution=restitution, drive=None, box_mass=1e12, box_inertia=1e14)
-        start = np.zeros(12)
-        start[5] = 0.2
+        start = at(theta_jack=0.2)
         simulator, states = started(scene, contact, start), [start]
         for _ in range(1200):
             simulator.step(0.02, 0.0)

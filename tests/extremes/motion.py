@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 
 from jackbox_env.mechanics import gap_jacobian, gaps
-from jackbox_env.model.scene import Chirp, Scene
+from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import clearance
-from tests.closed_forms import chirp_motion
 from tests.extremes.measures import (
     DEEPEST,
     angular_momentum,
@@ -22,7 +21,7 @@ from tests.extremes.measures import (
     steps,
 )
 from tests.extremes.page import Bound, Finding, case, refuses, within
-from tests.states import WEIGHTLESS, Array, inside, one_foot_on_wall
+from tests.states import WEIGHTLESS, Array, at, inside, one_foot_on_wall
 
 TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a smaller time step or less torque"
 
@@ -32,8 +31,7 @@ TOO_FAST_FOR_SUBSTEPS = "the jack would leave the box: .* use more substeps, a s
 
 def spun(index: int, dt: float, contact: str) -> Finding:
     """The jack drifts to a wall for 0.2 s while it or the box spins; in ordinary steps feet pass pymunk's walls."""
-    state = np.zeros(12)
-    state[[5, 9, 10]] = 0.3, 60.0, 7.0
+    state = at(theta_jack=0.3, vx_jack=60.0, vy_jack=7.0)
     state[index] = 3e4
     simulator = started(WEIGHTLESS, contact, state)
     if contact == "pymunk" and dt == 0.02:
@@ -124,24 +122,6 @@ def a_thousandfold_gravity(contact: str) -> Finding:
     height = abs(simulator.state[4] - simulator.state[1])
     bound = Bound("height after 30 whole periods off the closed form", height, 1e-9, "m")
     return conserved([course], contact, 30, *[bound] * (contact == "exact"))
-
-
-@case("the chirp at t = 1e6 s")
-def the_chirp_after_a_million_seconds(contact: str) -> Finding:
-    # 12 turns show the phase best, 18,000 turns how well they cancel.
-    chirp, rates, angles = Chirp(), [], []
-    for dt in (1.3e-5, 0.02):
-        simulator = started(Scene(gravity=0.0, drive=chirp), contact, np.zeros(12), 1e6)
-        simulator.step(dt)
-        spun, turned = chirp_motion(chirp, 14400.0, 1e6, dt)
-        assert abs(spun) > 1e-9
-        rates.append(abs(simulator.state[8] - spun))
-        angles.append(abs(simulator.state[2] - turned))
-    return within(
-        Bound("box's rate off the closed form after 1.3e-5 s", rates[0], 1e-14, "rad/s"),
-        Bound("after 0.02 s", rates[1], 1e-14, "rad/s"),
-        Bound("its angle", max(angles), 1e-15, "rad"),
-    )
 
 
 # -- places ------------------------------------------------------------------------------------------------------------
