@@ -28,7 +28,7 @@ ROUNDED_QUICKLY := $(addprefix tests/,$(addprefix agents/test_,cards.py landing.
 	saved_models.py training.py value.py zoo.py) batches/test_torch.py environment/test_ilqr.py \
 	measuring/test_fitting.py agents/test_distil.py)
 
-.PHONY: demo test test-all test-oldest benchmark benchmark-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants results learners networks readme words docs recipes recipes-table wheel dataset ranges clean
+.PHONY: demo test test-all test-oldest accuracy accuracy-quick engines throughput speed fitting prove prove-quick reference soak extremes machines roundings roundings-quick kills interrupts mutants benchmark networks readme words docs recipes wheel dataset ranges clean
 .DELETE_ON_ERROR:
 
 demo: .venv/usable
@@ -52,10 +52,10 @@ test-oldest: .venv/ready $(OLD_GYMNASIUM)/ready
 
 # Studies: --render writes a page from its stored results; an interrupted study prints how it continues.
 # Speed against accuracy: the full sweep writes docs/accuracy.md, the quick one (about 2 minutes) only its run folder.
-benchmark: .venv/ready
+accuracy: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/accuracy.py
 
-benchmark-quick: .venv/ready
+accuracy-quick: .venv/ready
 	@$(BIN)/python scripts/studies/accuracy/accuracy.py --quick --out None --no-progress
 
 # Box2D v3, Rapier, matter.js and Drake on the proven motions, the part of docs/accuracy.md, a quarter of an hour. Those
@@ -121,13 +121,9 @@ interrupts: .venv/ready
 mutants: .venv/ready
 	@$(BIN)/python -m tests.mutants $(MUTANTS)
 
-# Returns of every policy, docs/results.md. The planner takes most of its 15 minutes.
-results: .venv/ready
-	@$(BIN)/python scripts/studies/results/results.py
-
-# What the fidelity of training does to PPO, docs/learners.md: 75 trainings, about 8 hours of one core.
-learners: .venv/ready
-	@OMP_NUM_THREADS=1 $(BIN)/python scripts/studies/learners/learners.py --workers 2 --runs runs/learners
+# Returns of every policy, and of algorithms, docs/benchmark.md: what is not stored is trained, up to 15 hours of one core.
+benchmark: .venv/ready
+	@OMP_NUM_THREADS=1 $(BIN)/python scripts/studies/benchmark/benchmark.py $(BENCHMARK)
 
 # Train the networks of agents/trained again: 1.2 to 4 million decisions, about 40 to 180 s of one core each.
 networks: .venv/ready
@@ -142,10 +138,6 @@ docs: .venv/ready
 recipes: .venv/ready
 	@$(BIN)/python scripts/recipes/run.py
 
-# What the recipes that train earn, in full, docs/recipes.md; half an hour.
-recipes-table: .venv/ready
-	@$(BIN)/python scripts/studies/recipes/recipes.py
-
 # Two wheels in dist: one for any platform, and one for Linux with the exact model compiled. A slow test builds both, and
 # tries the second.
 wheel: .venv/ready
@@ -159,9 +151,9 @@ ranges: .venv/ready
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
 
-# Words of README and of the pages in docs/, tables and code included.
+# Words of README, changelog and pages, tables and code included.
 words:
-	@cat README.md docs/*.md | wc -w
+	@cat README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/*/*.md | wc -w
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

@@ -1,4 +1,4 @@
-"""Write the model cards of agents/trained, in the hub's layout: card.md filled from docs/results.json.
+"""Write the model cards of agents/trained, in the hub's layout: card.md filled from docs/benchmark.json.
 
 `scripts/dataset.py` writes the datasets' card.
 """
@@ -31,13 +31,13 @@ ROW = "| {contact} | {mean:.1f} ± {half:.1f} | {episodes} |\n"
 
 
 def card(folder: Path, record: dict[str, Any], commit: str) -> str:
-    """The card of a shipped network; ``record`` is docs/results.json, ``commit`` that of the weights."""
+    """The card of a shipped network; ``record`` is docs/benchmark.json, ``commit`` that of the weights."""
     task, name = folder.name.split("-")
     policy = "planner" if name == "value" else name
     rows = [
         {**row, "half": (row["interval_95"][1] - row["interval_95"][0]) / 2.0}
-        for row in record["rows"]
-        if (row["task"], row["policy"]) == (task, policy)
+        for row in record["policies"]
+        if (row["task"], row["policy"], row["setting"]) == (task, policy, "default")
     ]
     return Path(__file__).with_name("card.md").read_text().format(
         task=task, folder=folder.name, policy=policy, version=__version__, commit=commit,
@@ -50,7 +50,7 @@ def card(folder: Path, record: dict[str, Any], commit: str) -> str:
 
 def main() -> None:
     """Write all model cards; each names the last commit that changed its weights."""
-    record = json.loads((ROOT / "docs" / "results.json").read_text())
+    record = json.loads((ROOT / "docs" / "benchmark.json").read_text())
     for weights in sorted(SHIPPED.glob(f"*/{WEIGHTS}")):
         commit = subprocess.run(
             ["git", "-C", str(ROOT), "log", "-1", "--format=%H", "--", str(weights)],

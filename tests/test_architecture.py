@@ -44,6 +44,7 @@ ORDER = """
     agents.sweep agents.sweep_ray
     scripts
     scripts.studies
+    scripts.benchmark
 """
 LEVELS = {
     name if name.startswith(("agents", "scripts")) else f"jackbox_env.{name}": level

@@ -16,8 +16,8 @@ from jackbox_env.tools.command_line import command_line
 class Arguments:
     """Train and export the networks that come with the repository."""
 
-    runs: Path = Path("runs/results")
-    """Folder of the trainings; made if there is none. `make results` finds them there."""
+    runs: Path = Path("runs/networks")
+    """Folder of the trainings; made if there is none."""
     out: Path = Path("agents/trained")
     """Folder with a folder <task>-ppo for each task, which has its settings; its other files are replaced."""
     progress: bool = True

@@ -16,7 +16,7 @@ import numpy as np
 from jackbox_env.fits.tables import UNITS, Table, filled, in_si_units
 from jackbox_env.fits.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
-from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, THETA_JACK, Array
+from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
@@ -32,7 +32,8 @@ _COARSE = 0.4  # of a step: rounding below leaves no doubt about missing frames
 _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
-_FASTEST = 10.0  # v0 / L or v0 / l: a median rate beyond is no rate in rad/s
+_FASTEST, _OFTEN = 10.0, 0.8  # v0, v0 / L or v0 / l, and the quantile of rates that is no higher in SI units
+# What is wrong with a position that is fewer half widths from the box's centre.
 _GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
 _TORQUE = re.compile(  # in headers of torques; no momentum, and no place "in m"
     r"(?i:torque|(?<![a-z])tau|moment(?!um|a))|(?<![A-Za-z])[kM]?N[ ·*._-]?m{1,2}(?![A-Za-z])"
@@ -65,7 +66,7 @@ def evened(
     for index, name in enumerate(STATE_NAMES):
         values = columns.get(name)
         if values is not None and name.startswith("theta"):
-            values, jumps, turn = unwrapped(values, name == STATE_NAMES[THETA_JACK])
+            values, jumps, turn = unwrapped(values)
             notes += [f"{name} wraps: {jumps} jumps of {turn} were taken out"] * bool(jumps)
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
@@ -101,14 +102,14 @@ def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | Non
         )
 
 
-def unwrapped(angles: Array, cross: bool = False) -> tuple[Array, int, str]:
+def unwrapped(angles: Array) -> tuple[Array, int, str]:
     """Angles [rad] without jumps of a turn, how many there were, and of what turn: only of angles that stay within one.
 
-    A ``cross`` looks the same after a quarter turn, so trackers report its angle within one of these.
+    A cross and a box look the same after a quarter turn, a line after half of one, so trackers may report no more.
     """
     seen = np.isfinite(angles)
     values = angles[seen]
-    for turn, period in ([("a quarter turn", 0.25 * _TURN)] if cross else []) + [("a turn", _TURN)]:
+    for turn, period in ("a quarter turn", 0.25 * _TURN), ("half a turn", 0.5 * _TURN), ("a turn", _TURN):
         jumps = int((abs(np.diff(values)) > 0.5 * period).sum())
         if len(values) and jumps and np.ptp(values) <= period * (1.0 + 1e-6):
             result = angles.copy()
@@ -208,24 +209,20 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
         reaches = jack - box if near == slice(None) else (jack - jack[seen[:, axis + 3]][:1].sum())[near]
         reach = float(np.nanmax(abs(reaches), initial=0.0)) if np.isfinite(reaches).any() else 0.0
         if reach > _FARTHEST * half * (1.0 if near == slice(None) else 5.0):
+            guess = next((guess for most, guess in _GUESSES if reach < most * half), "pixels?")
             raise ValueError(
                 f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {reach:,.4g} m in "
-                f"a box of half width {half:g} m: {_length_of(reach / half)}"
+                f"a box of half width {half:g} m: {guess}"
             )
-    for column, unit in ((2, half), (5, scene.jack_arm)):
+    wrong = "minutes, hours or days", "degrees"
+    for column, unit in ((3, 1.0), (4, 1.0), (2, half), (5, scene.jack_arm)):
         rows = np.flatnonzero(seen[:, column])
         steps = abs(np.diff(states[rows, column]))
-        fast = steps / (np.diff(rows) * dt) > _FASTEST * scene.speed_scale / unit
-        if len(steps) and (np.median(fast) > 0.5 or steps.max() > _LARGEST_STEP):
-            name = STATE_NAMES[column]
-            raise ValueError(
-                f"{table.source}column {name}: {name} changes by up to {steps.max():,.4g} rad from row to row: degrees?"
-            )
-
-
-def _length_of(half_widths: float) -> str:
-    """A guess at what is wrong with a position that is as many half widths from the box's centre."""
-    return next((guess for most, guess in _GUESSES if half_widths < most), "pixels?")
+        rate = float(np.quantile(steps / (np.diff(rows) * dt), _OFTEN)) if len(steps) else 0.0
+        name, angle = STATE_NAMES[column], column % 3 == 2
+        if rate > _FASTEST * scene.speed_scale / unit or (angle and steps.max(initial=0.0) > _LARGEST_STEP):
+            moves = f"{name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from row to row, in {dt:.3g} s"
+            raise ValueError(f"{table.source}column {name}: {moves}: {wrong[angle]}?")
 
 
 def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.fits.least_squares import Indices
 from jackbox_env.fits.observed import Recording
+from jackbox_env.fits.shooting import brief
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import (
@@ -32,17 +33,12 @@ from jackbox_env.model.states import (
     Y_JACK,
     Array,
 )
-from jackbox_env.tools import checks as check
-
-with check.extra("jackbox_env.fit", "scipy", "train"):
-    from scipy.optimize import least_squares
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK = slice(X_JACK, RATES)
 _LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _ELSEWHERE = 0.05  # half widths
-_LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _FEW = 2  # impacts, fewer of which give no ratio
@@ -122,7 +118,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
     """Duration [s] of a flight whose rows give its acceleration to a sixth; what is shorter may be rest."""
     spread = 180.0 * (_FALLING * noise[Y_JACK] / _fall(scene)) ** 2 * recording.dt
-    return max(_LASTING, float(spread**0.2))
+    return max(brief(scene), float(spread**0.2))
 
 
 def _fall(scene: Scene) -> float:
@@ -258,7 +254,7 @@ class Guess(NamedTuple):
 
 
 def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array, fields: Sequence[str]) -> Guess:
-    """A guess of fields by robust regressions over the impacts.
+    """A guess of restitution, a mass and lengths by regressions over the impacts.
 
     Nothing but the jack pushes the box's centre, so that of both masses moves straight, with the fall added. At an
     impact a foot is at a wall. Both are linear in that centre's motion, the ratio of the masses and the lengths.
@@ -292,7 +288,7 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     )
     rows.append(np.diag(1.0 / widths))
     known.append(prior / widths)
-    solved, deviations = _robust(np.concatenate(rows), np.concatenate(known))
+    solved, deviations = _solved(np.concatenate(rows), np.concatenate(known))
     ratio = float(max(solved[4], 1e-9))
     guess = Guess({}, solved[:2], solved[2:4], ratio)
     states = guess.with_centre(
@@ -303,13 +299,11 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
         guess.values[name] = value, float(deviation) / value
     gradients = contacts_of(scene, states[:, 0], impacts.walls, impacts.feet)[1]
     before, after = np.einsum("ni,nki->kn", gradients, states[:, :, RATES:])
-    change = states[:, 1, RATES:] - states[:, 0, RATES:]
-    kick = (gradients * change)[:, X_JACK : Y_JACK + 1].sum(axis=1)  # impulse over the jack's mass
     guess.values["restitution"] = _usual_ratio(-after, before)
-    by_jack = _usual_ratio(change[:, THETA_JACK], gradients[:, THETA_JACK] * kick)  # jack_mass / jack_inertia
-    by_box = _usual_ratio(change[:, THETA_BOX], gradients[:, THETA_BOX] * kick)
-    ratios = {"jack_mass": (ratio, float(deviations[4]) / ratio)}
-    guess.values.update(_masses(scene, fields, ratios["jack_mass"], by_box, by_jack))
+    name, mass = (
+        ("jack_mass", ratio * scene.box_mass) if "jack_mass" in fields else ("box_mass", scene.jack_mass / ratio)
+    )
+    guess.values[name] = mass, float(deviations[4]) / ratio
     return guess
 
 
@@ -325,33 +319,14 @@ def starts_of(recording: Recording, scene: Scene, flights: Flights, guess: Guess
     return guess.with_centre(states, positions, straight[:, :, 1], times)
 
 
-def _masses(
-    scene: Scene, fields: Sequence[str], ratio: tuple[float, float], by_box: tuple[float, float],
-    by_jack: tuple[float, float],
-) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """Masses and inertias from ratios and their relative deviations: of the masses, to box_inertia, to jack_inertia."""
-    values = dict[str, tuple[float, float]]()
-    mass = scene.jack_mass
-    if "jack_mass" in fields:
-        routes = (ratio[0] * scene.box_mass, ratio[1]), (by_box[0] * scene.box_inertia, by_box[1])
-        values["jack_mass"] = min(routes, key=lambda route: route[1])
-        mass = values["jack_mass"][0]
-    elif "box_mass" in fields:
-        values["box_mass"] = mass / ratio[0], ratio[1]
-    if "jack_inertia" in fields:
-        values["jack_inertia"] = mass / by_jack[0], by_jack[1]
-    return values
-
-
-def _robust(rows: Array, known: Array) -> tuple[Array, Array]:
+def _solved(rows: Array, known: Array) -> tuple[Array, Array]:
     """Solution of rows @ x = known, noise about 1, and its standard deviations."""
     sizes = np.linalg.norm(rows, axis=0)
     scaled = rows / sizes
-    first = np.linalg.lstsq(scaled, known, rcond=None)[0]
-    solution = least_squares(lambda x: scaled @ x - known, first, jac=lambda _: scaled, loss="soft_l1", f_scale=2.0)
-    noise = 2.0 * solution.cost / max(1, len(known) - len(sizes))
-    covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * max(1.0, noise)
-    return solution.x / sizes, np.sqrt(np.diag(covariance)) / sizes
+    solution = np.linalg.lstsq(scaled, known, rcond=None)[0]
+    noise = float(((scaled @ solution - known) ** 2).sum()) / max(1, len(known) - len(sizes))
+    covariance = np.linalg.pinv(scaled.T @ scaled) * max(1.0, noise)
+    return solution / sizes, np.sqrt(np.diag(covariance)) / sizes
 
 
 def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:
@@ -359,15 +334,9 @@ def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:
     usable = np.isfinite(values) & (abs(by) > 0.0)
     if usable.sum() < _FEW:
         return 1.0, np.inf
-    ratios, weights = values[usable] / by[usable], abs(by[usable])
-
-    def median(numbers: Array) -> float:
-        order = np.argsort(numbers)
-        sums = np.cumsum(weights[order])
-        return float(numbers[order][np.searchsorted(sums, 0.5 * sums[-1])])
-
-    ratio = median(ratios)
-    if ratio <= 0.0:
-        return 1.0, np.inf
+    ratios = values[usable] / by[usable]
+    order = np.argsort(ratios)
+    sums = np.cumsum(abs(by[usable])[order])
+    ratio = float(ratios[order][np.searchsorted(sums, 0.5 * sums[-1])])
     spread = np.quantile(abs(ratios - ratio), min(1.0, 0.6 + 1.0 / len(ratios)))
-    return ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))
+    return (ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))) if ratio > 0.0 else (1.0, np.inf)

@@ -65,12 +65,11 @@ def fit(
     several = [recordings] if isinstance(recordings, Recording) else recordings
     if not isinstance(several, Sequence) or not several or not all(isinstance(one, Recording) for one in several):
         raise TypeError(f"recordings must be a Recording or several, got {check.shown(recordings)}")
-    if isinstance(fields, str) or not isinstance(fields, Sequence) or not len(fields):
+    listed = isinstance(fields, Sequence) and not isinstance(fields, str)
+    if not (listed and 0 < len({*map(str, fields)}) == len(fields)):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     for name in fields:
         check.choice("a field", name, FIELDS)
-    if len({*fields}) < len(fields):
-        raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     parameters = Parameters(fields, Scene.of(start))
     known = known_noise(noise)
     seen = sum(int(np.isfinite(one.states).any(axis=1).sum()) for one in several)

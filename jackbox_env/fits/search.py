@@ -92,7 +92,8 @@ class Search:
         self.windows = [window for index, window in enumerate(self.windows) if index not in indices]
 
     def link(self) -> None:
-        """Link each window to the next one if that begins where it ends."""
+        """Sort the windows, and link each to the next one if that begins where it ends."""
+        self.windows.sort(key=lambda one: (one.recording, one.first))
         for window, after in pairwise(self.windows):
             window.linked = (window.recording, window.last) == (after.recording, after.first)
 

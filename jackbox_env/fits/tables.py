@@ -238,14 +238,17 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
 
 def _factor(table: Table, header: str, unit: str | None, of_names: str | None, si: str) -> float:
     """The unit of a column [si], which the header or ``names`` have."""
+    factors = {si: 1.0, **OTHER_UNITS.get(si, {})}
+    known = {plain(one): factor for one, factor in factors.items()}
     if unit is None:  # it may be within, as in Position (mm) Run #1
         unit = next((one for one in re.findall(r"[(\[]([^][()]*)[)\]]", header) if plain(one) in KNOWN), None)
     if unit is not None and of_names is not None and plain(unit) != plain(of_names):
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {of_names!r}, chosen for it")
     in_parentheses = re.search(r"\(([^()]*)\)\s*$", header)
-    unit = next((one for one in (unit, of_names, in_parentheses and in_parentheses[1]) if one is not None), si)
-    factors = {si: 1.0, **OTHER_UNITS.get(si, {})}
-    factor = {plain(one): factor for one, factor in factors.items()}.get(plain(unit))
+    ending = header.strip().rpartition("_")[2]  # of box_angle_deg
+    others = of_names, in_parentheses and in_parentheses[1], ending if plain(ending) in known else si
+    unit = next(one for one in (unit, *others) if one is not None)
+    factor = known.get(plain(unit))
     if factor is None:
         allowed = ", ".join(factors) if si else "none"
         raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")

@@ -21,17 +21,20 @@ DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": 
 _MISSING = r"|--?|\?|#?n/?a|<na>|[-+]?nan(\([a-z]*\))?|null|none|missing|#(div/0|num|value|ref)!"
 NUMBER = re.compile(r"\s*[-+\u2212]?(\d+\.?|\d*[.,]\d+)([de][-+]?\d+)?\s*", re.ASCII | re.IGNORECASE)
 VALUE = re.compile(rf"{NUMBER.pattern}|\s*({_MISSING})\s*", re.ASCII | re.IGNORECASE)
-_COMMENT = re.compile(r"\s*(#|%|//|sep=.\s*$|[|+:\s]*-{3,}[-|+:\s]*$)", re.IGNORECASE)
+_COMMENT = re.compile(  # no #N/A in a first cell
+    r"\s*(#(?!(n/?a|(div/0|num|value|ref)!)\s*[,;|\s])|%|//|sep=.\s*$|[|+:\s]*-{3,}[-|+:\s]*$)", re.IGNORECASE
+)
 _THOUSANDS = re.compile(r"(?<=\d)[\u00a0\u202f'\u2019](?=\d{3}(?!\d))")  # that can be nothing else
 _END_OF_SETTINGS = "***End_of_Header***"  # of LabVIEW, which may repeat it
 _PAIR = r"[^,]*\w\s*[:=]\s*[-+.\d]+"  # name and number
-_FORMS = {  # that are refused, of the cells of the first row, and of the headers in the next line
+_FORMS = {  # that are refused, of the cells of the first row, of the headers in the next line, and of those between
     r"scorer,": "this is a table of DeepLabCut, of frames and pixels; write one row of headers, a column time, and "
     "positions in a unit",
     r"\s*<": "this is a page of HTML or XML; open it in a spreadsheet and save its table as CSV",
     r"\s*[{[]\s*([{[\"\d]|\n)": "this is JSON; write a row of names and then rows of numbers, or give "
     "Recording.from_frame a dict of columns",
-    rf".*\n{_PAIR}(,{_PAIR})*$": "names must be in a row above the numbers, not before each number",
+    rf".*\n{_PAIR}(,{_PAIR})*(?m:$)": "names must be in a row above the numbers, not before each number",
+    r"(?is).*indegrees=yes": "angles are in degrees; give the unit, as in theta_box [deg], and remove inDegrees=yes",
     r".*\n\s*\d\d:\d\d:\d\d": "must have names of columns, and times in seconds",
 }
 _TRIED = 200  # lines that show the delimiter
@@ -74,7 +77,7 @@ def read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]], str, i
         rows, index = [*_commented(path, comments, rows, delimiter), *rows], 0
     if rows and all(map(VALUE.fullmatch, rows[0][1])):
         raise ValueError(f"{path}, row {rows[0][0]}: must have names of columns, got {', '.join(rows[0][1])[:80]}")
-    shown = "\n".join(",".join(rows[n][1]) for n in (0, index) if rows)
+    shown = "\n".join(",".join(rows[n][1]) for n in (0, index, *range(1, index)) if rows)
     for form, sentence in _FORMS.items():
         if re.match(form, shown):
             raise ValueError(f"{path}, row {rows[0][0]}: {sentence}")

@@ -43,7 +43,6 @@ def resume(search: Search) -> None:
             search.left_out.remove(window)
             search.windows.append(window)
             before[window.recording, window.last] = window
-    search.windows.sort(key=lambda one: (one.recording, one.first))
     search.link()
 
 
@@ -70,7 +69,6 @@ def go_on(search: Search) -> None:
                 chain[-1].linked = False
                 break
         search.windows += chain[1:]
-    search.windows.sort(key=lambda one: (one.recording, one.first))
     search.link()
 
 
@@ -87,8 +85,8 @@ def cut_all(search: Search) -> None:
     ]
     known = [[one] for one in guesses if one is not None]
     candidates = [_combined(search, some) for some in ([one for (one,) in known], *(known if len(known) > 1 else ()))]
-    furthest, best = -1, (candidates[0][0], candidates[0][1], list[Window](), list[Window]())
-    for numbers, width in candidates if known else ():
+    furthest = -1
+    for numbers, width in candidates:
         search.numbers, search.first_width, search.windows, search.left_out = numbers, width, [], []
         for number, guess in enumerate(guesses):
             if guess is not None:
@@ -114,7 +112,6 @@ def _cut_others(search: Search) -> None:
             _cut_first(search, number)
         if len(search.windows) == before:
             search.numbers = numbers
-    search.windows.sort(key=lambda one: (one.recording, one.first))
     search.link()
 
 
@@ -205,18 +202,5 @@ def _cut(search: Search, number: int, state: Array) -> bool:
 
 
 def _fit_last(search: Search) -> bool:
-    """Fit the last window, with those before it; return whether it is explained.
-
-    If the jack's angle was not observed, other angles are tried.
-    """
-    if search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block):
-        return True
-    last, numbers = search.windows[-1], search.numbers
-    for angle in () if search.observed[THETA_JACK] else _TRIAL_ANGLES:
-        turned = replace(last, start=last.start + angle * np.eye(12)[THETA_JACK])
-        if search.fit_block([turned], False):
-            search.windows[-1] = turned
-            if search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block):
-                return True
-            search.windows[-1], search.numbers = last, numbers
-    return False
+    """Fit the last window, with those before it; return whether it is explained."""
+    return search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block)

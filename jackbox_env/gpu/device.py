@@ -121,8 +121,3 @@ def launcher(ptx: str, block: int = BLOCK) -> Launch:
 def tensor(array: Any) -> torch.Tensor:
     """A float64 tensor on the present GPU of an array, or of any library's by DLPack; not copied if it is there."""
     return torch.utils.dlpack.from_dlpack(array).to(PLACE, torch.float64)
-
-
-def stacked(first: torch.Tensor, last: torch.Tensor) -> torch.Tensor:
-    """First and last states, shape (N, 2, 12)."""
-    return torch.stack([first, last], dim=1)

@@ -16,7 +16,7 @@ from typing import Any
 
 from jackbox_env.exact.workspace import Status
 from jackbox_env.gpu.row import SUBSTITUTES, arguments, play
-from jackbox_env.jit.compiler import UsersFunctions, intermediate_code
+from jackbox_env.jit.compiler import UsersFunctions, intermediate_code, kinds_of
 from jackbox_env.jit.folders import cache_folders
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.tools import files
@@ -86,7 +86,7 @@ def ptx_of(task: str, chip: str = "sm_80") -> str:
         )
         if stored and _checksum(name, stored) == checksum:
             return stored
-    code = intermediate_code(play, kinds(), **SUBSTITUTES, task_terms=TASKS[task].values)
+    code = intermediate_code(play, kinds_of(arguments()), **SUBSTITUTES, task_terms=TASKS[task].values)
     ptx = checked(*code, chip)
     with contextlib.suppress(OSError):  # then it is compiled anew in each process
         files.write_text(cache_folders()[-1] / name, f"{ptx}// {_checksum(name, ptx)}")
@@ -99,14 +99,7 @@ def ptx_with(users: UsersFunctions, chip: str = "sm_80") -> str:
     Raises:
         TypeError: its functions need more than arithmetic.
     """
-    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds()), chip)
-
-
-def kinds() -> tuple[Any, ...]:
-    """Numba's types of the arguments of :func:`jackbox_env.gpu.row.play`."""
-    from numba import typeof
-
-    return tuple(map(typeof, arguments()))
+    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds_of(arguments())), chip)
 
 
 def _checksum(name: str, ptx: str) -> str:
@@ -131,23 +124,11 @@ def emitted(code: str, chip: str) -> str:
     code = code.replace("noinline", "")
     code = re.sub(r"^(define (?!ptx_kernel).*)\{$", r"\1alwaysinline {", code, flags=re.MULTILINE)
     code = re.sub(r"^(define .*)\{$", r'\1"no-jump-tables"="true" {', code, flags=re.MULTILINE)
-    import llvmlite.binding as llvm  # type: ignore[import-untyped]
+    from jackbox_env.jit.pipelines import optimized
 
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    module = llvm.parse_assembly(code)
-    inner = [one for one in module.functions if one.name != "rollout"]
-    for defined in [*inner, *module.global_variables]:
-        if not defined.is_declaration:
-            defined.linkage = "internal"
-    machine = llvm.Target.from_triple(TRIPLE).create_target_machine(cpu=chip, features="+ptx78", opt=3)
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.loop_unrolling = False
-    builder = llvm.create_pass_builder(machine, options)
-    builder.getModulePassManager().run(module, builder)
+    module, machine = optimized(code, TRIPLE, chip, "+ptx78", "rollout")
     refuse_more_than_arithmetic(module)
-    ptx: str = machine.emit_assembly(module)
-    return ptx
+    return str(machine.emit_assembly(module))
 
 
 def refuse_more_than_arithmetic(module: Any) -> None:

@@ -69,6 +69,11 @@ def intermediate_code(
     return _Compilation(tuple(substitutes.items())).intermediate_code(function, arguments)
 
 
+def kinds_of(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numba's types of values."""
+    return tuple(map(_native().typeof, values))
+
+
 @cache
 def _native() -> ModuleType:
     """The module that imports numba, without interruption: a second import of what is half imported fails.
@@ -227,7 +232,7 @@ class UsersFunctions(_Compilation):
             Exception: numba cannot compile it.
         """
         native = _native()
-        types, arguments = native.types, tuple(map(native.typeof, (Scene().numbers, State(*[0.0] * 12), *further)))
+        types, arguments = native.types, kinds_of((Scene().numbers, State(*[0.0] * 12), *further))
         with _LOCK, uninterrupted():
             returned = native.return_type(self.compiled(function, inner=True), arguments)
         kinds = tuple(returned) if isinstance(returned, types.BaseTuple) else (returned,)
@@ -332,7 +337,7 @@ def called_later(function: Callable[[], F], example: Callable[[], tuple[Any, ...
         return function()
 
     def signature() -> Any:
-        result, *arguments = map(_native().typeof, example())
+        result, *arguments = kinds_of(example())
         return result(*arguments)
 
     _SIGNATURES[function_at] = signature

@@ -24,6 +24,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numba
+from llvmlite import binding as llvm  # type: ignore[import-untyped]
 from numba import njit, typeof, types
 from numba.core import cgutils
 from numba.core.compiler_lock import global_compiler_lock
@@ -237,6 +238,22 @@ def unoptimized(library: Any) -> str:
     with global_compiler_lock:
         library._ensure_finalized()
     return str(library._final_module)
+
+
+def optimized(code: str, triple: str, chip: str, features: str, kept: str) -> tuple[Any, Any]:
+    """LLVM's module of code, optimized, in which others see the function ``kept`` alone, and its target machine."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    module = llvm.parse_assembly(code)
+    for defined in [*module.functions, *module.global_variables]:
+        if not defined.is_declaration and defined.name != kept:
+            defined.linkage = "internal"
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=chip, features=features, opt=3)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_unrolling = False
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return module, machine
 
 
 def target_of(context: Any) -> tuple[str, str, str]:

@@ -66,7 +66,7 @@ def played(
         options: a ``RolloutOptions``.
         left_rows: returns the ``Rollout`` of rows by the CPU, for those that the GPU does not play to their end.
     """
-    from torch.cuda import OutOfMemoryError
+    import torch
 
     from jackbox_env.gpu import device
 
@@ -82,11 +82,11 @@ def played(
             launch, values, first, held, dt, options.repeat, device.tensor(ended.copy()).long(),
             device.Wanted(options.whole, options.energy, options.impacts, task is not None),
         )  # fmt: skip
-    except OutOfMemoryError as error:
+    except torch.cuda.OutOfMemoryError as error:
         steps = held.shape[1] * options.repeat
         raise MemoryError(f"the GPU has too little memory for {count} rows of {steps} steps: play fewer") from error
     wanted = [
-        result.trajectories if options.whole else device.stacked(first, result.last),
+        result.trajectories if options.whole else torch.stack([first, result.last], dim=1),
         result.energies if options.energy else None, result.hits if options.impacts else None,
         result.impulses if options.impacts else None,
         *((result.rewards, result.lengths) if task else (None, None)),

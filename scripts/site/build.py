@@ -143,17 +143,22 @@ def _refused(name: str, value: float) -> str:
 
 
 def _lesson() -> list[dict[str, str]]:
-    """The questions of docs/answers.md: title, question and answer in HTML; their scenes are links."""
-    part = r"^## (?:\d\. )?([^\n]+)\n\n<!-- question (\d) -->\n(.*?)<!-- answer \2 -->\n(.*?)<!-- end \2 -->$"
-    text = (ROOT / "docs" / "answers.md").read_text(encoding="utf-8").replace("play.html#", "#")
+    """The questions of docs/lesson.md: title, question and answer in HTML; their scenes are links."""
+    question, answer = r"<!-- question (\d) -->\n(.*?)\n<details>", r"<!-- answer \2 -->\n(.*?)<!-- end \2 -->$"
+    part = rf"^## (?:\d\. )?([^\n]+)\n\n{question}.*?{answer}"
+    text = (ROOT / "docs" / "lesson.md").read_text(encoding="utf-8").replace("play.html#", "#")
     questions = re.findall(part, text, re.MULTILINE | re.DOTALL)
     return [{"title": title, "question": asked, "answer": answered} for title, _, asked, answered in questions]
 
 
 def _task(name: str) -> dict[str, Any]:
     """A task's goal, what policies earn, and the trained network."""
-    rows = json.loads((ROOT / "docs" / "results.json").read_text())["rows"]
-    earned = {row["policy"]: row["mean"] for row in rows if (row["task"], row["contact"]) == (name, "exact")}
+    rows = json.loads((ROOT / "docs" / "benchmark.json").read_text())["policies"]
+    earned = {
+        row["policy"]: row["mean"]
+        for row in rows
+        if (row["task"], row["contact"], row["setting"]) == (name, "exact", "default")
+    }
     return {
         "goal": GOALS[name], "earned": {label: earned[policy] for policy, label in COMPARED.items()},
         "agent": _agent(AGENTS / f"{name}-ppo"),

@@ -20,6 +20,12 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}" if value == 0.0 or abs(value) >= 1e-3 else f"{value:.1e}"
 
 
+def cell(row: Mapping[str, Any]) -> str:
+    """A row's mean and half of its 95 % interval."""
+    low, high = row["interval_95"]
+    return f"{row['mean']:.1f} ± {(high - low) / 2.0:.1f}"
+
+
 def rounded(value: float) -> str:
     """A number for a sentence, rounded to three digits."""
     return figure(float(f"{value:.3g}"))

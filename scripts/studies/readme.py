@@ -13,15 +13,15 @@ from typing import Any
 from agents.policies.network import TRAINED
 from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.tools.command_line import command_line
-from scripts.studies.pages import fill
+from scripts.studies.pages import cell, fill
 
 ROOT = Path(__file__).parents[2]
 SPEED = ROOT / "docs" / "speed.json"
-RESULTS = ROOT / "docs" / "results.json"
-LEARNERS = ROOT / "docs" / "learners.json"
+BENCHMARK = ROOT / "docs" / "benchmark.json"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
 PICTURE = ROOT / "docs" / "jackbox.gif"
 PAGE = ROOT / "docs" / "play.png"
+SHOWN = ("zero", "best chirp", "ppo", "distilled", "planner")  # policies in the README
 FIRST = 1.44  # time of the picture's first frame [s]: the jacks are in the air, and the boxes have turned
 
 
@@ -34,19 +34,11 @@ class Arguments:
 
 
 def returns_table(record: dict[str, Any]) -> str:
-    """The mean return of each policy on each task, on the exact model."""
-    rows = {(row["policy"], row["task"]): row for row in record["rows"] if row["contact"] == "exact"}
+    """The mean returns of some policies on each task, on the exact model."""
+    default = [row for row in record["policies"] if (row["contact"], row["setting"]) == ("exact", "default")]
+    rows = {(row["policy"], row["task"]): row for row in default}
     lines = [f"| policy | {' | '.join(TRAINED)} |", f"|---|{'---:|' * len(TRAINED)}"]
-    for policy in dict.fromkeys(name for name, _ in rows):
-        cells = []
-        for task in TRAINED:
-            if (policy, task) not in rows:
-                cells.append("")
-                continue
-            mean, (low, high) = rows[policy, task]["mean"], rows[policy, task]["interval_95"]
-            digits = 1 if task == "rattle" else 0  # whose returns are small
-            cells.append(f"{mean:.{digits}f} ± {0.5 * (high - low):.{digits}f}")
-        lines.append(f"| {policy} | {' | '.join(cells)} |")
+    lines += [f"| {policy} | {' | '.join(cell(rows[policy, task]) for task in TRAINED)} |" for policy in SHOWN]
     return "\n".join(lines)
 
 
@@ -86,17 +78,11 @@ def photograph_page() -> None:
 
 def filled(page: str) -> str:
     """The README with its tables filled from the stored results."""
-    from scripts.studies.learners import learners
     from scripts.studies.speed import speed
 
-    page = fill(page, "returns", returns_table(json.loads(RESULTS.read_text())))
-    sentences = {
-        "speed": speed.for_the_readme(json.loads(SPEED.read_text())),
-        "learners": learners.for_the_readme(json.loads(LEARNERS.read_text())),
-    }
-    for name, sentence in sentences.items():
-        page = re.sub(f"(<!-- {name} -->).*?(<!-- /{name} -->)", rf"\1{sentence}\2", page)
-    return page
+    page = fill(page, "returns", returns_table(json.loads(BENCHMARK.read_text())))
+    sentence = speed.for_the_readme(json.loads(SPEED.read_text()))
+    return re.sub("(<!-- speed -->).*?(<!-- /speed -->)", rf"\1{sentence}\2", page)
 
 
 def environment_page() -> str:

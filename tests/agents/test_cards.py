@@ -1,4 +1,4 @@
-"""The model cards of agents/trained show the numbers of docs/results.json, in a form that the hub can read."""
+"""The model cards of agents/trained show the numbers of docs/benchmark.json, in a form that the hub can read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jackbox_env import __version__
 from scripts.cards import card
 
 ROOT = Path(__file__).parents[2]
-RECORD = json.loads((ROOT / "docs" / "results.json").read_text())
+RECORD = json.loads((ROOT / "docs" / "benchmark.json").read_text())
 FOLDERS = sorted(path for path in SHIPPED.iterdir() if path.is_dir())
 
 

@@ -52,5 +52,5 @@ def test_without_numba_pymunk_runs_and_a_sentence_names_the_pythons_that_have_it
 def test_only_what_compiles_imports_numba() -> None:
     package = Path(jackbox_env.__file__).parent
     imports = re.compile(r"^ *(import|from) (numba|llvmlite)\b", re.MULTILINE)
-    importing = {path.name for path in package.rglob("*.py") if imports.search(path.read_text(encoding="utf-8"))}
-    assert importing == {"pipelines.py", "code_cache.py", "ptx.py"}
+    importing = {path.parent.name for path in package.rglob("*.py") if imports.search(path.read_text(encoding="utf-8"))}
+    assert importing == {"jit"}

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import torch
 import jackbox_env
 from jackbox_env import Scene, State, Task
 from jackbox_env.gpu import device, ptx, row
-from jackbox_env.jit.compiler import intermediate_code
+from jackbox_env.jit.compiler import intermediate_code, kinds_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.planning import card
@@ -30,6 +31,7 @@ needs_gcc = pytest.mark.skipif(
     shutil.which("gcc") is None and "EXPECTED_GCC" not in os.environ,
     reason="there is no gcc to translate the code of GPUs by",
 )
+LARGER = re.compile(r"(%\S+) = fcmp ogt double (\S+), (\S+)\n +(\S+) = select i1 \1, double \2, double \3\n")
 FMA = re.compile(r"(mul\.rn\.f64 \t(%rd\d+), (.*), (.*);\n\t)add\.rn\.f64 \t(%rd\d+), (%rd\d+), \2;")
 
 
@@ -79,8 +81,9 @@ def without_card(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def rows_with_loss() -> tuple[list[Scene], Any, Any]:
-    """Ten rows of two scenes; in some feet come to rest, and a drive with side forces acts in one."""
+    """Ten rows of two scenes; in some feet come to rest, in one two feet land at once, in one side forces act."""
     scene, drawn = gpu.rows_of(0.6, 0.0, 5.0, 10)
+    drawn["states"][0], drawn["torques"][0] = [0.0] * 5 + [np.pi / 4] + [0.0] * 6, 0.0
     pushed = scene.changed(drive=jackbox_env.Drive(force_x=lambda time: 50.0))
     return [scene] * 8 + [scene.changed(gravity=3.0), pushed], drawn["states"], drawn["torques"]
 
@@ -94,7 +97,7 @@ def test_rollouts_on_a_card_are_those_of_the_cpu(wanted: dict[str, Any]) -> None
         jackbox_env.rollout(scenes, states, torques, 0.02, repeat=4, rewards=gpu.TASK, device=one, **wanted)
         for one in ("cuda", None)
     )
-    assert 1 <= played.left_to_cpu < 10
+    assert played.left_to_cpu == 7  # two feet at once are not among them
     for one, other in zip(played[:-1], cpu[:-1], strict=True):
         np.testing.assert_array_equal(one, other)
         assert other is None or (one.dtype, one.strides) == (other.dtype, other.strides)
@@ -115,9 +118,13 @@ def test_tensors_are_played_and_returned_where_they_are() -> None:
 
 @needs_gcc
 @pytest.mark.usefixtures("without_card")
-def test_a_row_that_fails_raises_what_it_raises_on_the_cpu() -> None:
+def test_rows_at_huge_angles_are_left_to_the_cpu_and_those_that_fail_raise_its_errors() -> None:
     states = np.zeros((3, 12))
-    states[2, 9] = 1e14
+    states[1, 2], states[2, 9] = 1e16, 1e14
+    two: Any = None, states[:2], np.zeros(3), 0.02
+    played, cpu = (jackbox_env.rollout(*two, rewards=gpu.TASK, device=place) for place in ("cuda", None))
+    assert played.left_to_cpu == 1
+    np.testing.assert_array_equal(played.trajectories, cpu.trajectories)
     for place in (None, "cuda"):
         with pytest.raises(jackbox_env.JackLostError, match=r"the jack of states\[2\] moves too fast"):
             jackbox_env.rollout(None, states, np.zeros(3), 0.02, rewards=gpu.TASK, device=place)
@@ -127,56 +134,82 @@ def test_a_row_that_fails_raises_what_it_raises_on_the_cpu() -> None:
 
 
 def worst(scene: SceneNumbers, state: State, torque: float, impulse: float) -> float:
-    """Numbers that are NaN in flight and infinite or finite after impacts, in a maximum of each order."""
+    """Numbers that are NaN in flight and infinite or finite after impacts, in a maximum of each order.
+
+    Without torque and impacts it divides by zero.
+    """
     bad = state.vx_box * math.inf
-    return (1.0 if max(bad, 0.25) > 0.0 else 0.5) + (2.0 if max(0.25, bad) > 0.0 else 0.25) / (1.0 + impulse)
+    return (1.0 if max(bad, 0.25) > 0.0 else 0.5) + (2.0 if max(0.25, bad) > 0.0 else 0.25) / (torque - impulse)
 
 
 def fallen(scene: SceneNumbers, state: State, torque: float, impulse: float) -> bool:
     return impulse > 0.0
 
 
-def divided(scene: SceneNumbers, state: State, torque: float, impulse: float) -> float:
-    return 1.0 / impulse
-
-
 @needs_gcc
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_card")
-def test_a_task_of_ones_own_has_the_bits_of_the_cpu_and_its_errors() -> None:
+def test_a_task_of_ones_own_has_the_bits_and_errors_of_the_cpu_unless_fmax_is_its_max(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    checked = Mock(wraps=ptx.checked)
+    monkeypatch.setattr(ptx, "checked", checked)
     scene, drawn = gpu.rows_of(1.0, 0.0, 30.0, 5)
-    rows = scene, drawn["states"], drawn["torques"], 0.02
     task = Task(("worst",), worst, fallen)
-    played, cpu = (jackbox_env.rollout(*rows, rewards=task, device=one) for one in ("cuda", None))
-    assert played.left_to_cpu == 0
+
+    def played(place: str | None, torques: Any = drawn["torques"]) -> Any:
+        return jackbox_env.rollout(scene, drawn["states"], torques, 0.02, rewards=task, device=place)
+
+    cpu, by_card = played(None), played("cuda")
+    assert by_card.left_to_cpu == 0
     assert (cpu.lengths < 50).any()
-    np.testing.assert_array_equal(played.rewards, cpu.rewards)
-    np.testing.assert_array_equal(played.lengths, cpu.lengths)
+    np.testing.assert_array_equal(by_card.rewards, cpu.rewards)
+    np.testing.assert_array_equal(by_card.lengths, cpu.lengths)
     for place in (None, "cuda"):
         with pytest.raises(ZeroDivisionError):
-            jackbox_env.rollout(*rows, rewards=Task(("divided",), divided), device=place)
+            played(place, np.zeros(3))
+
+    code, *name_and_chip = checked.call_args.args
+    code, count = LARGER.subn(r"\4 = call double @llvm.maxnum.f64(double \2, double \3)\n", code)
+    assert count
+    by_fmax = [f"{code}declare double @llvm.maxnum.f64(double, double)\n", *name_and_chip]
+    with pytest.raises(TypeError, match=r"this one needs llvm\.maxnum\.f64"):
+        checked(*by_fmax)
+    monkeypatch.setattr(ptx, "refuse_more_than_arithmetic", Mock())
+    monkeypatch.setattr(card, "code_of", Mock(return_value=checked(*by_fmax)))
+    assert (played("cuda").rewards != cpu.rewards).any()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("function", "needed"), [(math.exp, "llvm.exp.f64"), (lambda x: x % 1.0, "%")])
-def test_a_task_that_needs_more_than_arithmetic_is_refused(function: Any, needed: str) -> None:
-    task = Task(("more",), lambda scene, state, torque, impulse: function(state.y_jack))
-    with pytest.raises(TypeError, match=f"runs tasks of .* this one needs .*{needed}"):
+def test_a_task_that_needs_more_than_arithmetic_is_refused() -> None:
+    task = Task(("more",), lambda scene, state, torque, impulse: math.exp(state.y_jack))
+    with pytest.raises(TypeError, match=r"runs tasks of .* this one needs llvm\.exp\.f64"):
         card.code_of(task)
+
+
+def test_a_remainder_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"runs tasks of .* this one needs %"):
+        ptx.emitted("define double @rollout(double %x) {\n  %y = frem double %x, 1.0\n  ret double %y\n}\n", "sm_80")
 
 
 @needs_gcc
 @pytest.mark.slow
-@pytest.mark.parametrize("chip", ["sm_80", "sm_90"])
-def test_a_remainder_as_gpus_compute_it_changes_bits(tmp_path: Path, chip: str) -> None:
+def test_a_remainder_as_gpus_compute_it_changes_bits(tmp_path: Path) -> None:
     def rounded(x: float, y: float) -> float:
         return x - math.floor(x / y) * y
 
     code = intermediate_code(
-        row.play, ptx.kinds(), **row.SUBSTITUTES, task_terms=TASKS[gpu.TASK].values, remainder=rounded
+        row.play, kinds_of(row.arguments()), **row.SUBSTITUTES, task_terms=TASKS[gpu.TASK].values, remainder=rounded
     )
-    results = {name: equal == played for name, equal, played, _ in prepared(tmp_path, 20, ptx.checked(*code, chip))}
-    assert results == {"elastic": True, "loss": True, "many turns": False, "fast": True}
+    for chip in ("sm_80", "sm_90"):
+        results = prepared(tmp_path, 20, ptx.checked(*code, chip))
+        assert [name for name, equal, played, _ in results if equal < played] == ["many turns"]
+
+
+def test_the_half_on_a_card_needs_pytorch_alone() -> None:
+    code = "import sys\nfor name in ('numba', 'pymunk', 'gymnasium', 'jackbox_env'): sys.modules[name] = None\n"
+    code += "import gpu\ngpu.device_module().play"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(gpu.__file__).parent)
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------

@@ -46,7 +46,10 @@ def before(rows: str) -> str:
 
 UNIX = "times count from the first row, at {:.10g} s"
 MISSING = "4 of 60 frames are missing, and left open"
-ROUNDED: dict[str, Any] = {"frames": 60, "states": {}}
+FALL: dict[str, Any] = {"frames": 20, "dt": 1 / 60}
+DAYS = "column x_jack: x_jack changes by up to 0.01 m from row to row, in {} s: minutes, hours or days?"
+LARGE = Scene(drive=None, box_half_width=2e3)  # of steps of a metre
+ROUNDED: dict[str, Any] = {"frames": 60, "states": {}, "scene": LARGE}
 CASES = [
     # Encodings and ends of lines.
     Case("comma.csv", TORQUES),
@@ -75,7 +78,7 @@ CASES = [
     Case("points_and_commas.csv", refused="must be in all decimal numbers or in none, and in no thousands, got '-1,25"),
     Case("trailing.csv", TORQUES, columns="time=time"),
     Case("trailing_in_rows.csv"),
-    Case("trailing_tabs.txt", states={**X, "y_jack": [1e-3, 2e-3, 3e-3]}, dt=1e-3),
+    Case("trailing_tabs.txt", states={**X, "y_jack": [1e-3, 2e-3, 3e-3]}, dt=1e-3, scene=LARGE),
     Case("cut.csv", refused="row 4: must have 2 cells like row 1, with commas between and points in numbers, got 1"),
     Case("cut_tabs.txt", refused="row 4: must have 2 cells like row 1, with tabs between and points in numbers, got 1"),
     # Rows before the numbers.
@@ -146,6 +149,20 @@ CASES = [
     Case("iso.csv", notes=(UNIX.format(1767607200),)),
     Case("underscore.csv", refused="row 3, column x_jack: must be a number or empty, got '1_0'"),
     Case("clock.csv", refused="row 2, column time: must be a number or empty, got '12:00:00.0'"),
+    Case("not_available_first.csv", states={"x_jack": [math.nan, -0.25, 0.125]}),
+    Case("division_first.csv", states={"x_jack": [math.nan, -0.25, 0.125]}),
+    Case(
+        "folded_box.csv",
+        states={"theta_box": [math.radians(80 + 4 * k) for k in range(20)]},
+        notes=("theta_box wraps: 1 jumps of a quarter turn were taken out",),
+        **FALL,
+    ),
+    Case(
+        "folded_jack.csv",
+        states={"theta_jack": [math.radians(25 * k - 10) for k in range(20)]},
+        notes=("theta_jack wraps: 3 jumps of half a turn were taken out",),
+        **FALL,
+    ),
     # Columns that are left out.
     Case("left_out.csv", TORQUES, columns="time=time", notes=(left_out("clock, note, note"),)),
     Case("left_out.csv", refused="row 1: column 'clock' must be one of time [s], x_box [m], "),
@@ -179,6 +196,33 @@ CASES = [
     Case("empty_unit.csv", refused="column 'x_jack []' must be in one of the units m, cm, mm, um, µm, got ''"),
     Case("parentheses.csv", columns="x_jack=x_jack [cm]", refused="(mm)' has another unit than 'cm', chosen for it"),
     Case("parentheses.csv", TORQUES, columns="x_jack=x_jack [mm]"),
+    Case(
+        "ending_degrees.csv",
+        columns="time=t,theta_box=box_angle_deg",
+        states={"theta_box": ANGLES["theta_jack"]},
+        notes=(left_out("ball_x_mm"),),
+    ),
+    Case("ending_degrees.csv", columns="time=t,x_jack=ball_x_mm", notes=(left_out("box_angle_deg"),)),
+    Case(
+        "ending_degrees.csv",
+        columns="time=t,x_jack=ball_x_mm [cm]",
+        states={"x_jack": [5.0, -2.5, 1.25]},
+        notes=(left_out("box_angle_deg"),),
+    ),
+    Case("ending_ms.csv", columns="time=t_ms,x_jack=ball_x_cm"),
+    Case("opensim.mot", refused="row 1: angles are in degrees; give the unit, as in theta_box [deg], and remove"),
+    Case(
+        "opensim_radians.mot",
+        states={"theta_jack": [0.05 * k for k in range(20)]},
+        columns="time=time",
+        notes=(before("row 1, row 2, row 3, row 4, row 5, row 6"),),
+        **FALL,
+    ),
+    # Times in other units.
+    Case("minutes.csv", scene=Scene(drive=None, box_half_width=0.15, jack_arm=0.04), refused=DAYS.format("0.000278")),
+    Case("hours.csv", refused=DAYS.format("4.63e-06")),
+    Case("days.csv", refused=DAYS.format("1.93e-07")),
+    Case("minutes_unit.csv", states={}, **FALL),
     # Unix times.
     Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),)),
     Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),), scene=Scene()),  # a chirp is replaced by the torques
@@ -201,6 +245,7 @@ CASES = [
         dt=1.001 / 60,
         frames=600,
         states={},
+        scene=LARGE,
         notes=("40 of 600 frames are missing, and left open",),
     ),
 ]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -182,6 +184,13 @@ def test_a_fit_that_takes_most_of_a_recording_for_rest_has_not_converged() -> No
     states[:30] = np.nan  # a search from nothing ends at restitution 0, where all is rest
     fitted = fit(Recording(states, torques, DT), ("jack_mass", "restitution"), START.changed(restitution=0.9))
     assert not (fitted.converged and fitted.left_out > 100)
+
+
+def test_without_scipy_a_sentence_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "jackbox_env.fits.outcome")
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    with pytest.raises(ModuleNotFoundError, match="jackbox_env.fit needs scipy, the extra 'train'"):
+        importlib.import_module("jackbox_env.fits.outcome")
 
 
 def test_derivatives_of_residuals_equal_differences() -> None:

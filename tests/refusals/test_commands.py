@@ -154,7 +154,7 @@ FITS = [
     ),
     refused(
         FITTED,
-        "bad.csv, column theta_jack: theta_jack changes by up to 345 rad from row to row: degrees?",
+        "bad.csv, column theta_jack: theta_jack changes by up to 345 rad from row to row, in 0.1 s: degrees?",
         {"bad.csv": "time,theta_jack\n0,350\n0.1,5\n0.2,10\n0.3,15\n"},
     ),
     refused(

@@ -11,16 +11,15 @@ import pytest
 
 from jackbox_env import Scene, make_simulator
 from scripts.studies.accuracy import accuracy
+from scripts.studies.benchmark import benchmark
 from scripts.studies.fitting import fitting
-from scripts.studies.recipes import recipes
-from scripts.studies.results import results
 from scripts.studies.speed import costs, measured, speed
 from scripts.studies.study import as_text
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, fitting, recipes, results, speed)}
+STUDIES = {one.STUDY.name: one.STUDY for one in (accuracy, benchmark, fitting, speed)}
 
 
 def stored(name: str) -> Any:
@@ -38,9 +37,9 @@ def test_a_record_is_stored_as_it_is_written(name: str) -> None:
 
 
 def test_other_numbers_would_make_another_page() -> None:
-    data = stored("results")
-    data["rows"][0]["mean"] += 50.0
-    assert STUDIES["results"].page(data) != (DOCS / "results.md").read_text()
+    data = stored("benchmark")
+    data["policies"][0]["mean"] += 50.0
+    assert STUDIES["benchmark"].page(data) != (DOCS / "benchmark.md").read_text()
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
@@ -80,12 +79,3 @@ def test_only_the_unguarded_search_loses_impacts_and_feet() -> None:
     assert counts["certified"] == 0
     assert counts["missed"] > 10
     assert counts["escaped"] > 10
-
-
-def test_a_recipe_that_fails_has_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recipes, "HERE", tmp_path)
-    (tmp_path / "with_one.py").write_text("print('after 1,000 actions: return -3.5 +- 0.2')")
-    assert [recipes.trained("one", [])[name] for name in ("actions", "mean", "half_width_95")] == [1000, -3.5, 0.2]
-    (tmp_path / "with_one.py").write_text("print('return 24')\nraise SystemExit('no memory')")
-    with pytest.raises(RuntimeError, match="the recipe one failed: no memory"):
-        recipes.trained("one", [])

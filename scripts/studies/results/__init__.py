@@ -1,1 +1,0 @@
-"""Returns of policies: docs/results.md, and the networks in agents/trained."""

@@ -1,0 +1,99 @@
+"""docs/benchmark.md: what policies earn, limits of returns, what is called equal, and training algorithms."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.evaluation.returns import evaluate
+from agents.policies.registry import find_policy
+from agents.settings import EnvSettings
+from jackbox_env import JackInBoxVectorEnv, Scene
+from scripts.studies.benchmark import policies, trainings
+from scripts.studies.benchmark.benchmark import _middle, interval, verdict
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_a_row_has_the_results_of_evaluate() -> None:
+    row = policies.policy_row("spin", "exact", "zero", 8)
+    settings = EnvSettings(task="spin", contact="exact")
+    zero = find_policy("zero", settings, trainings.SEED)
+    evaluated = evaluate("zero", zero, settings.env_settings, 8, trainings.SEED)
+    assert (row["mean"], row["interval_95"]) == (evaluated.mean, evaluated.interval)
+    planned = policies.milliseconds(find_policy("planner-fast", settings), settings)
+    assert 0.0 < row["milliseconds"] < planned  # by far
+
+
+def test_spin_pays_nothing_before_a_jack_can_have_fallen_to_a_wall() -> None:
+    env = JackInBoxVectorEnv(64, contact="exact", task="spin")
+    env.reset(seed=3)
+    unpaid = policies.unpaid_steps(env.states)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 64, 1)).astype(np.float32)
+    rewards = np.array([env.step(action)[1] for action in actions])
+    for number, count in enumerate(unpaid.astype(int).tolist()):
+        assert not rewards[:count, number].any()
+    paid = (rewards != 0.0).argmax(axis=0)
+    assert (paid - unpaid).min() <= 2  # the bound is close for some
+
+
+@pytest.mark.parametrize("speed", [5.0, 10.85, 30.0, 50.0])
+def test_rattle_pays_a_jack_that_flies_to_and_fro_the_reward_on_the_page(speed: float) -> None:
+    scene = Scene(box_mass=1e12, gravity=0.0)  # weightless, in a box that does not give way
+    env: Any = gym.make("JackInBox-v0", contact="exact", task="rattle", scene=scene)
+    env.reset(options={"state": [0.0] * 9 + [speed, 0.0, 0.0]})
+    earned = sum(float(env.step([0.0])[1]) for _ in range(500))
+    assert earned == pytest.approx(policies.rattle_at(speed), abs=1.01)  # of a knock
+
+
+@pytest.mark.parametrize(
+    ("difference", "wanted"),
+    [
+        ((0.0, -4.9, 4.9), "equal"),
+        ((-9.0, -12.0, -5.1), "worse"),
+        ((9.0, 5.1, 12.0), "better"),
+        ((0.0, -10.0, 10.0), "undecided: about 64 trainings would do"),  # half the width: four times as many, twice
+        ((-1.0, -9.0, 0.0), "undecided: about 64 trainings would do"),  # by the longer side of the interval
+        ((5.0, 3.0, 7.0), "undecided: more than 1,000 trainings would do"),
+    ],
+)
+def test_a_difference_is_judged_by_its_interval(difference: tuple[float, float, float], wanted: str) -> None:
+    assert verdict(difference, 5.0, 8) == wanted
+
+
+def test_intervals_are_of_trainings_without_the_best_and_the_worst_quarter() -> None:
+    middle, low, high = interval(_middle, np.array([0.0, 10.0, 11.0, 12.0, 13.0, 99.0, 10.0, 12.0]))
+    assert middle == 11.25
+    assert 0.0 < low < middle < high < 99.0
+    assert interval(_middle, np.full(8, 3.0), np.full(4, 3.0)) == (3.0, 3.0, 3.0)
+
+
+def test_an_algorithm_of_ones_own_is_evaluated_from_starts_that_it_cannot_know() -> None:
+    def train(task: str, seed: int) -> Iterator[Any]:
+        for torque in (1.0, 0.0):
+            yield lambda seen, torque=torque: np.full((len(seen), 1), torque), {"action_repeat": 4}
+
+    rows = [trainings.measured("mine", train, "spin", 3, 8) for _ in range(2)]
+    assert rows[0]["starts"] != rows[1]["starts"]
+    zero, settings = trainings.playing(lambda seen: np.zeros((len(seen), 1))), EnvSettings(task="spin").env_settings
+    for row in rows:
+        assert row["mean"] == evaluate("", zero, settings, 8, row["starts"]).mean  # of the last one
+        assert len(set(row["curve"])) == len(row["seconds"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("trained", "sentence"),
+    [
+        (3.0, "train must return a model with predict or a function, got 3.0"),
+        ((np.zeros, {"fidelity": "coarse"}), "accepts only 'observation', 'action', 'action_repeat', got 'fidelity'"),
+    ],
+)
+def test_what_is_no_model_is_refused(trained: Any, sentence: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=re.escape(sentence)):
+        trainings.playing(trained)
