@@ -200,7 +200,11 @@ def learnt(record: study.Record, setting: str = "default") -> str:
         counts = sorted({len(rows) for rows in by_task.values()})
         spent = np.mean([row["processor_seconds"] for row in every])
         lines.append((name, " to ".join(map(str, counts)), *cells, score, f"{spent:.0f}"))
-    return table(("algorithm", "trainings", *TRAINED, "score", "seconds"), lines)
+    return (
+        table(("algorithm", "trainings", *TRAINED, "score", "seconds"), lines)
+        if lines
+        else "No training is stored yet."
+    )
 
 
 def filled(record: study.Record) -> dict[str, Any]:
