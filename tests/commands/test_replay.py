@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
 import re
@@ -198,7 +197,7 @@ def test_play_opens_its_page_or_says_that_it_cannot_and_writes_a_new_file(
 
 
 def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     build = pytest.importorskip("scripts.site.build")
     page = build.ensure_page()
@@ -206,9 +205,7 @@ def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
     for owner in (play, build):
         monkeypatch.setattr(owner, "PAGE", tmp_path / "file" / "play.html")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["jackbox play", "--no-browser"])
-    importlib.import_module("scripts.play").main()
-    out, err = capsys.readouterr()
+    out, err = jackbox("play", "--no-browser", cwd=tmp_path)
     assert Path(out.strip()).read_bytes() == page.read_bytes()
     assert Path(out.strip()).is_relative_to(tmp_path)
     assert "file/play.html cannot be written (Not a directory): the page is in a temporary folder" in err
