@@ -13,9 +13,9 @@ from jackbox_env.envs.batch import Change, Limits, Outcome, Starts
 from jackbox_env.envs.repeated_step import RepeatedStep, bad_numbers
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
-from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, generator_of, seeded, words_of
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.exact.workspace import SHARES, Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
+from jackbox_env.exact.workspace import Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.action import ACTIONS, Repeat
 from jackbox_env.model.observation import STATE
@@ -78,7 +78,7 @@ class ExactBatch:
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
         self._count, self._width = num_envs, min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
-        blocks = np.zeros((-(-num_envs // self._width), workspace.WIDTH, self._width))
+        blocks = np.zeros((-(-num_envs // self._width), workspace.HEIGHT, self._width))
         several = len(scenes) > 1 or randomize is not None
         past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
@@ -98,12 +98,11 @@ class ExactBatch:
         observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
-        self._kind = SHARES if plain else workspace.ACTIONS
         self._rules = Rules(
             self._dt,
             steps=self._repeat.steps,
             longest=self._limits.steps,
-            kind=self._kind,
+            controls=workspace.CONTROL_SHARES if plain else workspace.CONTROL_ACTIONS,
             max_contact_steps=self._repeat.max_contact_steps,
             decisions=self._limits.decisions,
             score=address_of(scorer, score.block_scorer),
@@ -173,13 +172,13 @@ class ExactBatch:
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
-            generator, scene = unpacked(words[index]), table.scene(number)
+            generator, scene = generator_of(words[index]), table.scene(number)
             if changes is not None or drawn is not None:
                 scene = next_scene(table.original_of(number), drawn, generator, changes[index] if changes else {})
                 scenes.append(scene)
             if starting:
                 states.append(draw_start(self._nouns.task, scene, generator))
-            words[index] = packed(generator)[: words.shape[1]]
+            words[index] = words_of(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:

@@ -22,7 +22,7 @@ from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, 
 from jackbox_env.envs.batch import Limits
 from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.one_by_one import SingleBatch
-from jackbox_env.envs.settings import Setting, Settings
+from jackbox_env.envs.settings import ReadOnly, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import Action, Repeats
 from jackbox_env.model.observation import Observation
@@ -84,9 +84,9 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         **JackInBoxEnv.metadata, "render_modes": ["human", "rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }  # fmt: skip
 
-    observation, num_envs, max_episode_steps = Setting(), Setting(), Setting()
-    autoreset_mode = Setting()  # TorchRL reads it here, Gymnasium in the metadata
-    num_threads, with_infos = Setting(), Setting()
+    observation, num_envs, max_episode_steps = ReadOnly(), ReadOnly(), ReadOnly()
+    autoreset_mode = ReadOnly()  # TorchRL reads it here, Gymnasium in the metadata
+    num_threads, with_infos = ReadOnly(), ReadOnly()
 
     _spec: EnvSpec | None = None
 

@@ -17,9 +17,11 @@ from jackbox_env.exact.glide import Block, glide_block, glide_under_chirp
 from jackbox_env.exact.score import block_actor, block_observer, block_scorer
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, StepParameters, effort, make_parameters, step
 from jackbox_env.exact.workspace import (
-    ACTIONS,
     APPLIED,
+    CONTROL_ACTIONS,
+    CONTROL_SHARES,
     DECISIONS,
+    HEIGHT,
     HITS,
     IMPULSE_SUM,
     LEFT,
@@ -27,12 +29,10 @@ from jackbox_env.exact.workspace import (
     NEAR,
     OVER,
     SEPARATED,
-    SHARES,
     STEPS,
     TIME,
     TORQUE,
     UNSCORED,
-    WIDTH,
     Arguments,
     Results,
     Rules,
@@ -115,7 +115,7 @@ def move(
     call = arguments_at(address)
     memory, bad = call.memory.workspaces[0], set_torques(address, block, k)
     if bad >= 0:
-        return Status.BAD_TORQUE if call.rules.kind == ACTIONS else Status.BAD_ACTION, bad, recorded
+        return Status.BAD_TORQUE if call.rules.controls == CONTROL_ACTIONS else Status.BAD_ACTION, bad, recorded
     if memory.lane == 0:
         memory.glided = 1 if fly_block(scene, params, call.scenes, block, memory) else 0
     return step_lanes(scene, params, address, block, k, recorded)
@@ -154,12 +154,12 @@ def set_torques(address: Any, block: Block, k: int) -> int:
     if not controls.shape[0]:
         torque[:] = 0.0
         return -1
-    if call.rules.kind == ACTIONS:
+    if call.rules.controls == CONTROL_ACTIONS:
         act = block_actor(call.rules.act)
         return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     here, usable = step_controls[block.first : block.first + block.size], 0
-    if call.rules.kind == SHARES:
+    if call.rules.controls == CONTROL_SHARES:
         for lane in range(block.size):
             torque[lane] = max(-1.0, min(1.0, here[lane])) * limit[lane]
     else:
@@ -265,7 +265,7 @@ def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
     for lane in range(block.size):
         if block.before[OVER, lane] == 0.0:
             return False
-    for column in range(WIDTH if (call.rules.steps - k) & 1 else 0):
+    for column in range(HEIGHT if (call.rules.steps - k) & 1 else 0):
         for lane in range(block.size):
             block.after[column, lane] = block.before[column, lane]
     return True

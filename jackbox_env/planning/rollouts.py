@@ -19,10 +19,10 @@ from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import (
+    HEIGHT,
     SCENE_PARAMS,
     TIME,
     WIDEST,
-    WIDTH,
     Call,
     Results,
     Rules,
@@ -259,7 +259,7 @@ def run_rollouts(
     threads = Threads(thread_count(options.num_threads, ranges))
     # Of all numbers of threads, so that they name the same row in errors.
     width = max(1, min(count, WIDEST, max(_FEWEST, count // _PARTS)))
-    blocks = np.zeros((2, -(-count // width), WIDTH, width))
+    blocks = np.zeros((2, -(-count // width), HEIGHT, width))
     _put_rows(blocks[0], starts, time)
     played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
     score = compiled_for(task, score_block) if task else None

@@ -44,10 +44,10 @@ from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
+    HEIGHT,
     SCENE_PARAMS,
     TIME,
     TORQUE,
-    WIDTH,
     Call,
     Results,
     Rules,
@@ -218,7 +218,7 @@ class ExactSimulator(Simulator):
         return self._states[into]
 
     def _prepare(self) -> None:
-        blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
+        blocks = np.zeros((2, 1, HEIGHT, 1))  # before and after a step, in turn
         self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
         self._loop, self._step_and_score = address_of(compiled(run), one_row), compiled(step_and_score)
