@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.faults import FAULTS, spoilt
-from jackbox_env.fits.first_guess import falls
 from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
 from jackbox_env.fits.observed import IMPACT, looks_smoothed, pushed
 from jackbox_env.fits.residuals import (
@@ -35,9 +34,7 @@ from jackbox_env.model.states import (
     STATE_UNITS,
     VX_JACK,
     VY_JACK,
-    X_BOX,
     X_JACK,
-    Y_BOX,
     Y_JACK,
     Array,
 )
@@ -186,7 +183,7 @@ def _not_followed(search: Search) -> tuple[int, list[float]]:
     """The number of missing links between windows, and by recording the time in which the jack moves in none [s]."""
     joints, seconds = 0, list[float]()
     for number, modelled in enumerate(search.motions()[0]):
-        missing, flown, moving = np.isnan(modelled[1:, X_JACK]), search.flown[number], _aloft(search, number, modelled)
+        missing, flown, moving = np.isnan(modelled[1:, X_JACK]), search.flown[number], _aloft(search, number)
         for first, last in flown:
             moving[first + 1 : last + 1] = True
         steps = int((missing & moving[1:]).sum())
@@ -199,20 +196,9 @@ def _not_followed(search: Search) -> tuple[int, list[float]]:
     return joints, seconds
 
 
-def _aloft(search: Search, number: int, modelled: Array) -> NDArray[np.bool_]:
-    """The rows of a recording in which no foot is near a wall, so that the jack does not rest; False if unknown.
-
-    A box whose centre was not observed is where the jack leaves it: nothing else pushes it.
-    """
-    recording, scene = search.recordings[number], search.parameters.scene(search.numbers)
-    states, fall = recording.states.copy(), falls(recording, scene)
-    ratio, times = scene.jack_mass / scene.box_mass, np.arange(len(states)) * recording.dt
-    for box, jack in ((X_BOX, X_JACK), (Y_BOX, Y_JACK)) if search.flights[number] is not None else ():
-        both = modelled[:, box] + ratio * (modelled[:, jack] + fall[:, jack])
-        known = np.isfinite(both)
-        centre = np.polyval(np.polyfit(times[known], both[known], 1), times) if known.any() else both
-        unseen = np.isnan(states[:, box])
-        states[unseen, box] = (centre - ratio * (states[:, jack] + fall[:, jack]))[unseen]
+def _aloft(search: Search, number: int) -> NDArray[np.bool_]:
+    """The rows of a recording in which no foot is near a wall, so that the jack does not rest; False if unseen."""
+    states, scene = search.recordings[number].states, search.parameters.scene(search.numbers)
     walls, feet = np.divmod(np.arange(16 * len(states)) % 16, 4)
     gaps = contacts_of(scene, np.repeat(states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
     return np.asarray(gaps > _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK])

@@ -27,7 +27,7 @@ _LARGE = 1.0  # [m] half width, above which a table is not tilted
 
 def scene_of_people(rng: np.random.Generator, sizes: tuple[float, float]) -> Scene:
     """A box of any size, upright or on a tilted table, and a jack, in half of the scenes with an inertia of its own."""
-    length = float(np.exp(rng.uniform(*np.log(sizes))))
+    length = float(np.exp(rng.uniform(*map(np.log, sizes))))
     tilted = length < _LARGE and rng.random() < 0.5
     gravity = 9.81 * (np.sin(np.radians(rng.uniform(3.0, 12.0))) if tilted else 1.0)
     mass, arm = 0.5 * (length / 0.15) ** 2 * np.exp(rng.uniform(-0.5, 0.5)), length * rng.uniform(0.15, 0.4)
@@ -67,7 +67,7 @@ def recorded_by_people(
     steps, pushed, box_seen = round(rng.uniform(4.0, 20.0) * rate), rng.random() < 0.5, rng.random() < 0.5
 
     def motor(state: Array) -> float:
-        push = rng.uniform(-2.0, 2.0) * min(scene.gravity / length, hardest)
+        push = rng.uniform(-2.0, 2.0) * min(scene.gravity, hardest * length) / length
         return float(scene.box_inertia * (push - state[OMEGA_BOX] - state[THETA_BOX]))  # keeps it from spinning
 
     states, torques = followed(scene, thrown(scene, rng), rate, steps, motor if pushed else None)
