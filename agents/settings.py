@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, fields, make_dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import gymnasium as gym
 
-from agents.user_code import is_object, loaded
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
-from jackbox_env.model.action import ACTIONS, repeat_of
+from jackbox_env.model.action import ACTIONS, action_of, repeat_of
 from jackbox_env.model.observation import OBSERVATIONS, seen_of
 from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.simulators.fidelity import KEYWORDS, Setting, chosen, explicit, resolve
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.model_files import check_sizes
+from jackbox_env.tools.user_code import is_object, with_objects
 
 with suppress(ImportError):  # command lines need it; settings are also read without it
     import tyro
@@ -32,14 +31,9 @@ NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
 NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
 PER_POLICY = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
 LENGTHS = ("episode_steps", "max_episode_steps")  # keywords that limit an episode, in control steps and in decisions
-_FEATURES = 512  # of a picture, that Stable-Baselines3's convolutions pass on to the layers
 EPISODE_STEPS = cast(int, gym.spec("JackInBox-v0").max_episode_steps)  # control steps of an episode
 # Beyond these an untrusted run folder could fill all memory.
 MOST_STEPS = 10**12  # also of episodes and samples
-MOST_ROLLOUT_SAMPLES = 5_000_000  # between updates
-MOST_ROLLOUT_BYTES = 10**10  # of pictures between updates
-MOST_LAYERS = 32
-MOST_WEIGHTS = 20_000_000  # of one network; there are two
 MOST_THREADS = 1024
 
 
@@ -66,16 +60,6 @@ def scene_as_json(scene: str, options: object) -> str:
 def setting_of(keywords: dict[str, Any]) -> Setting:
     """The contact model and its settings in one form, from keywords of the environment."""
     return explicit(resolve(**{name: keywords[name] for name in KEYWORDS}))
-
-
-def with_objects(keywords: dict[str, Any]) -> dict[str, Any]:
-    """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``.
-
-    Raises:
-        ValueError: one is not loaded (:func:`agents.user_code.load`).
-    """
-    named = [name for name in (*NAMES, "scene", "randomize") if is_object(keywords.get(name))]
-    return {**keywords, **{name: loaded(keywords[name]) for name in named}}
 
 
 @dataclass(frozen=True)
@@ -152,8 +136,14 @@ class EnvSettings:
         Raises:
             ValueError: a user's task is not loaded.
         """
-        keywords = {part.name: getattr(self, part.name) for part in fields(EnvSettings)}
-        return with_objects({**keywords, "scene": self.scene_fields, "randomize": self.randomized or None})
+        return with_objects(self.named)
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The keywords :attr:`env_settings` of JSON types: objects of one's own are named."""
+        names = (*(part.name for part in fields(EnvSettings)), *(name for name in NOUNS if hasattr(self, name)))
+        keywords = {name: getattr(self, name) for name in names}
+        return {**keywords, "scene": self.scene_fields, "randomize": self.randomized or None}
 
     @property
     def objects(self) -> dict[str, str]:
@@ -288,11 +278,6 @@ class TrainSettings(EnvSettings):
         return super().of(values)
 
     @property
-    def env_settings(self) -> dict[str, Any]:
-        """As :attr:`EnvSettings.env_settings`, with what the networks observe and do."""
-        return {**super().env_settings, **self.nouns}
-
-    @property
     def pixels(self) -> Pixels | None:
         """The pictures that the networks observe; None: they observe numbers. Raises as ``env_settings``."""
         return seen_of(with_objects({"observation": self.observation})["observation"])[1]
@@ -301,6 +286,18 @@ class TrainSettings(EnvSettings):
     def nouns(self) -> dict[str, Any]:
         """The keywords ``observation``, ``action`` and ``action_repeat``; raises as ``env_settings``."""
         return with_objects({name: getattr(self, name) for name in NOUNS})
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of PPO, of JSON types, but for its seed; raises as ``env_settings``."""
+        layers = {"net_arch": [*self.hidden_units]}
+        continuous = action_of(self.nouns["action"]).size
+        return {
+            "policy": "CnnPolicy" if self.pixels else "MlpPolicy", "learning_rate": self.learning_rate,
+            "n_steps": self.rollout_steps, "batch_size": self.batch_size, "n_epochs": self.epochs, "gamma": self.gamma,
+            "gae_lambda": self.gae_lambda, "clip_range": self.clip_range, "ent_coef": self.entropy_coefficient,
+            "policy_kwargs": {**layers, "log_std_init": self.initial_log_std} if continuous else layers,
+        }  # fmt: skip
 
     def __post_init__(self) -> None:
         """Check all settings.
@@ -329,22 +326,7 @@ class TrainSettings(EnvSettings):
         for name in counts:
             check.whole(name, getattr(self, name), at_least=1, at_most=MOST_STEPS)
         check.whole("torch_threads", self.torch_threads, at_least=1, at_most=MOST_THREADS)
-        samples = self.num_envs * self.rollout_steps
-        if samples > MOST_ROLLOUT_SAMPLES:
-            raise ValueError(f"num_envs * rollout_steps must be at most {MOST_ROLLOUT_SAMPLES:,}, got {samples:,}")
-        if len(self.hidden_units) > MOST_LAYERS:
-            raise ValueError(f"hidden_units must be at most {MOST_LAYERS} layers, got {len(self.hidden_units):,}")
-        inputs = 1
+        shape: tuple[int, ...] = (1,)
         if "observation" not in self.objects:
-            inputs = _FEATURES if self.pixels else len(OBSERVATIONS[self.observation].names)
-            size = samples * math.prod(self.pixels.shape) if self.pixels else 0
-            if size > MOST_ROLLOUT_BYTES:
-                raise ValueError(
-                    f"num_envs * rollout_steps pictures must have at most {MOST_ROLLOUT_BYTES:,} bytes, got {size:,}"
-                )
-        weights = sum(before * after for before, after in pairwise((inputs, *self.hidden_units, 1)))
-        if weights > MOST_WEIGHTS:
-            raise ValueError(
-                f"hidden_units must make a network of at most {MOST_WEIGHTS:,} weights, got "
-                f"{check.shown(self.hidden_units)}"
-            )
+            shape = self.pixels.shape if self.pixels else (len(OBSERVATIONS[self.observation].names),)
+        check_sizes(self.num_envs, self.rollout_steps, shape, self.hidden_units)

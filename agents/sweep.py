@@ -33,24 +33,24 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from agents.evaluation.returns import evaluate
-from agents.files import (
+from agents.policies.registry import find_policy, is_function, runs_code, with_chosen_env
+from agents.policies.scripted import PolicyWithEnv
+from agents.runners import Finished, Runner, Work
+from agents.runs import PACKAGES, installed, locked, machine
+from agents.settings import EPISODE_STEPS, LENGTHS, NAMES, NOUNS, EnvSettings, TrainSettings
+from agents.training.models import make_vec_env
+from agents.training.ppo import trained_in
+from jackbox_env import FIDELITIES
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
+from jackbox_env.tools.model_files import MODEL, is_whole
+from jackbox_env.tools.reading import (
     DamagedFileError,
-    locked,
     parsing,
     read_json,
     report_skipped,
 )
-from agents.policies.registry import find_policy, is_function, runs_code, with_chosen_env
-from agents.policies.scripted import PolicyWithEnv
-from agents.runners import Finished, Runner, Work
-from agents.runs import MODEL, PACKAGES, installed, is_whole, machine
-from agents.settings import EPISODE_STEPS, LENGTHS, NAMES, NOUNS, EnvSettings, TrainSettings, with_objects
-from agents.training.models import make_vec_env
-from agents.training.ppo import trained_in
-from agents.user_code import is_object, load, texts_of
-from jackbox_env import FIDELITIES
-from jackbox_env.tools import checks as check
-from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json, write_text
+from jackbox_env.tools.user_code import is_object, load, texts_of, with_objects
 
 SWEEP, LOG, TABLE, RUNS = "sweep.json", "trials.jsonl", "table.csv", "runs"
 _ROOT = Path(__file__).parents[1]

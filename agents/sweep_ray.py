@@ -15,11 +15,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from agents.files import first_line
 from agents.runners import ONE_THREAD, Finished, Results, Runner, Trials, Work, attempt, in_turn, on_cores
 from agents.sweep import differing, made_with
 from jackbox_env.jit.folders import cache_folders
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import first_line
 
 RETRIES = 4  # of a trial whose worker has died; then it has failed
 AHEAD = 8  # trials submitted for each core of the cluster: short ones do not wait for this process

@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import tyro
 
 from agents.policies.network import TRAINED
-from agents.user_code import load, loaded
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 from jackbox_env.tools.files import check_new_file, stamped, write_text
+from jackbox_env.tools.user_code import load, loaded
 
 
 @dataclass(frozen=True)

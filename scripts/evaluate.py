@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from agents.settings import PER_POLICY, EnvSettings, SceneFields, scene_as_json, with_objects
-from agents.user_code import is_object, load
+from agents.settings import PER_POLICY, EnvSettings, SceneFields, scene_as_json
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line, progress
 from jackbox_env.tools.files import check_new, check_new_file, new_file, new_folder, write_json
+from jackbox_env.tools.user_code import is_object, load, with_objects
 
 with suppress(ImportError):  # main names what is missing
     import tyro
@@ -61,8 +61,6 @@ class Arguments:
         "A keyword of the environment, once for each: --env episode_steps=400 --env task=file.py:name. All policies "
         "play with it, but observation, action, action_repeat and torque are of model files and functions alone."
     )
-    vecnormalize: Path | None = None
-    """File of the statistics by which VecNormalize normalized what a model observes, if it has no env.json."""
 
 
 def _check(arguments: Arguments) -> None:
@@ -131,15 +129,10 @@ def _policies(arguments: Arguments, settings: EnvSettings, chosen: dict[str, Any
     from agents.policies.registry import POLICIES, find_policy, is_function, with_chosen_env
 
     load(filter(is_function, arguments.policy))
-    for_models = [f"--env {name}" for name in PER_POLICY if name in chosen] + ["--vecnormalize"] * bool(
-        arguments.vecnormalize
-    )
+    for_models = [f"--env {name}" for name in PER_POLICY if name in chosen]
     if for_models and not any(map(with_chosen_env, arguments.policy)):
         raise ValueError(f"{for_models[0]} is for model files and functions, got {', '.join(arguments.policy)}")
-    acts = {
-        name: find_policy(name, settings, arguments.seed, arguments.trust, chosen, arguments.vecnormalize)
-        for name in arguments.policy
-    }
+    acts = {name: find_policy(name, settings, arguments.seed, arguments.trust, chosen) for name in arguments.policy}
     driven = {name for name, acting in acts.items() if acting.keywords.get("torque") == "chirp"}.difference(POLICIES)
     return {f"{name} (torque chirp)" if name in driven else name: acting for name, acting in acts.items()}
 

@@ -70,7 +70,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.OmitArgPrefixes,))
     from agents.sweep import LOG, TABLE, Code, carry_out, code_named, grid, new_sweep, read_sweep, run_trial
     from agents.sweep_ray import runner_for
-    from agents.user_code import texts_of
+    from jackbox_env.tools.user_code import texts_of
 
     runner = runner_for(arguments.workers, arguments.address)
     if arguments.grid.train is not None and arguments.grid.policy != Grid.policy:

@@ -10,9 +10,9 @@ from typing import Literal, TypedDict
 
 from agents.runs import RUN, describe, trusted_settings
 from agents.settings import SceneFields, TrainSettings, scene_as_json
-from agents.user_code import load
 from jackbox_env.tools.command_line import called, command_line, progress
 from jackbox_env.tools.files import new_folder
+from jackbox_env.tools.user_code import load
 
 
 @dataclass(frozen=True)

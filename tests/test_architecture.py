@@ -35,7 +35,7 @@ ORDER = """
     sb3
     commands
     __main__
-    agents.files agents.user_code agents.settings agents.runs agents.runners
+    agents.settings agents.runs agents.runners
     agents.policies
     agents.training
     agents.evaluation

@@ -73,12 +73,12 @@ def train(folder: Path) -> None:
 
 def lock(folder: Path) -> None:
     """A folder is locked once, and can be locked again afterwards."""
-    from agents import files
+    from agents import runs
 
     for _ in range(2):
-        with files.locked(folder), pytest.raises(files.FolderInUseError), files.locked(folder):
+        with runs.locked(folder), pytest.raises(runs.FolderInUseError), runs.locked(folder):
             pass
-    with pytest.raises(files.FolderInUseError), files.locked(folder), files.locked(folder):
+    with pytest.raises(runs.FolderInUseError), runs.locked(folder), runs.locked(folder):
         pass
 
 

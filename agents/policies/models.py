@@ -1,39 +1,25 @@
-"""Models of Stable-Baselines3 that were trained without this project's command, played as they were trained.
-
-A model's environment is stored in env.json beside it (:func:`jackbox_env.sb3.save_model`), or comes from ``--env``.
-"""
+"""Models of Stable-Baselines3, played as they were trained: env.json beside them describes their environments."""
 
 from __future__ import annotations
 
-import importlib
 import json
-import pickle
-import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import as_value_error, unpacked
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
-from agents.settings import LENGTHS, PER_POLICY, EnvSettings, with_objects
-from agents.user_code import is_object
-from agents.user_code import load as load_code
+from agents.settings import LENGTHS, TrainSettings
 from jackbox_env import JackInBoxEnv
 from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.user_code import is_object, with_objects
+from jackbox_env.tools.user_code import load as load_code
 
-# Algorithms by a name that only their models store; PPO's have A2C's too.
-_ALGORITHMS = {
-    "clip_range": "PPO", "target_entropy": "SAC", "target_policy_noise": "TD3", "normalize_advantage": "A2C",
-    "exploration_fraction": "DQN",
-}  # fmt: skip
-_CIRCLES = [4, 5], [7, 8]  # components of a built-in observation that are a cosine and a sine
 ENV_KEYWORDS = (
     *(name for name in signature(JackInBoxEnv).parameters if name != "settings" and not name.startswith("render")),
     *FURTHER, "max_episode_steps",
@@ -52,7 +38,7 @@ class ModelPolicy:
 
     Args:
         model: with ``predict``.
-        wrappers: what :func:`checked_wrappers` returns; they change the observations in this order.
+        wrappers: what ``checked_wrapper`` returns of each; they change the observations in this order.
     """
 
     def __init__(self, model: Any, wrappers: list[dict[str, Any]]) -> None:
@@ -83,45 +69,19 @@ class ModelPolicy:
         return actions[0] if np.ndim(observation) == 1 else actions, Memory(frames, recurrent)
 
 
-def load(file: Path, algorithm: str | None) -> Any:
-    """A model, which is unpickled.
-
-    Args:
-        file: that Stable-Baselines3 has saved.
-        algorithm: ``module:class``; None: one of ``_ALGORITHMS``, by what the file stores.
+def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> PolicyWithEnv:
+    """The convolutional network with these parameters of a training, in its environment.
 
     Raises:
-        ValueError: the file is damaged, or of something else; or the algorithm is not of Stable-Baselines3.
+        RuntimeError: they are not those of such a network.
     """
-    from jackbox_env.sb3.saved_models import PACKAGES
+    from jackbox_env.sb3 import make_sb3_vec_env
+    from jackbox_env.sb3.saved_models import make_model
 
-    with as_value_error(f"{file} is no model of Stable-Baselines3"):
-        if algorithm is None:
-            stored = json.loads(unpacked(file.read_bytes(), file.name)["data"])
-            names = [name for key, name in _ALGORITHMS.items() if key in stored]
-            if not names:
-                raise ValueError(f"without env.json it must be of {', '.join(_ALGORITHMS.values())}")
-            algorithm = f"stable_baselines3:{names[0]}"
-        module, _, name = algorithm.partition(":")
-        if module.split(".")[0] not in PACKAGES:
-            raise ValueError(f"its algorithm must be of {' or '.join(PACKAGES)}, got {check.shown(algorithm)}")
-        return getattr(importlib.import_module(module), name).load(file, device="cpu")
-
-
-def stored_beside(file: Path) -> dict[str, Any] | None:
-    """What env.json beside a model has about it; None if that has no entry for it.
-
-    A model that was renamed has the only entry, if no other model is in its folder.
-
-    Raises:
-        ValueError: env.json is damaged.
-    """
-    from jackbox_env.sb3.saved_models import ENV, read_stored
-
-    entries = read_stored(file.parent / ENV)
-    if len(entries) == 1 and not (file.parent / next(iter(entries))).exists():
-        return next(iter(entries.values())) if list(file.parent.glob(f"*{file.suffix}")) == [file] else None
-    return entries.get(file.name)
+    policy: Any = make_model(make_sb3_vec_env(1, **settings.env_settings), settings.arguments).policy
+    policy.load_state_dict(parameters)
+    policy.settings = settings
+    return PolicyWithEnv(policy, settings.nouns)
 
 
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:
@@ -147,89 +107,14 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
     return {**contact, **lengths, **keywords}
 
 
-def model_in_env(
-    file: Path, model: Any, stored: dict[str, Any] | None, settings: EnvSettings, chosen: dict[str, Any],
-    vecnormalize: Path | None,
-) -> PolicyWithEnv:  # fmt: skip
-    """A loaded model with its environment: what is stored, over it what ``settings`` change, over both what is chosen.
+def model_in_env(file: Path, trust: bool, changed: dict[str, Any]) -> PolicyWithEnv:
+    """A saved model with its environment: that of env.json beside it, with the keywords that are changed.
 
     Raises:
-        ValueError: the model does not fit, or something is missing; the message names the option that would help.
+        FileNotFoundError, ValueError: as :func:`jackbox_env.sb3.load_model`.
     """
-    if stored is not None and vecnormalize is not None:
-        raise ValueError(f"{file} is described by env.json beside it: leave --vecnormalize out, or move the model")
-    if stored is None:
-        stored = {"env": {}, "wrappers": _statistics(vecnormalize) if vecnormalize else [], "missing": []}
-        if not chosen.keys() & {*PER_POLICY}:
-            note = "describes it, so it chooses a torque in every control step (--env)"
-            print(f"Note: no env.json beside {file} {note}", file=sys.stderr)
-        if vecnormalize is None and _is_normalized(model):
-            raise ValueError(
-                f"{file} was trained under VecNormalize, whose statistics are missing: use --vecnormalize FILE.pkl, or "
-                "save it by jackbox_env.sb3.save_model"
-            )
-    check.known_keys("missing in env.json", stored["missing"], ENV_KEYWORDS)
-    for name in stored["missing"]:
-        if name not in chosen:
-            raise ValueError(
-                f"{file} was trained with a {name} that env.json cannot store: use --env {name}=file.py:name"
-            )
-    with as_value_error(f"{file} cannot be played as env.json or --env describe"):
-        load_code(filter(is_object, stored["env"].values()))
-        keywords = with_objects({**PLAIN, **stored["env"], **settings.changed, **chosen})
-        wrappers = [checked_wrapper(one) for one in stored["wrappers"]]
-        env = gym.make("JackInBox-v0", **{**settings.env_settings, **keywords})
-        env.close()
-        spaces: Any = env.observation_space, env.action_space
-        shape: tuple[int, ...] = spaces[0].shape
-        if len(shape) == 1:
-            for one in wrappers:
-                shape = (shape[0] * one.get("stack", 1),)
-                if one.get("mean", np.empty(shape)).shape != shape:
-                    raise ValueError(
-                        f"mean and variance must be {shape[0]} numbers, as are observed, got {one['mean']}"
-                    )
-        elif wrappers:
-            raise ValueError("its observations are pixels, which env.json cannot stack or scale")
-        known = model.observation_space.shape
-        if len(shape) > 1 and known == (shape[2], *shape[:2]):  # as Stable-Baselines3 transposes them
-            known = shape
-        wanted, got = (shape, spaces[1]), (known, model.action_space)
-        if got != wanted:
-            nouns = "use --env observation=..., --env action=... and --env action_repeat=... as in its training"
-            if len(shape) == len(known) == 1 and known[0] > shape[0] and known[0] % shape[0] == 0:
-                nouns = f"if VecFrameStack stacked them, save it by jackbox_env.sb3.save_model; else {nouns}"
-            raise ValueError(f"it has observations {got[0]} and {got[1]}, got {wanted[0]} and {wanted[1]}: {nouns}")
-    return PolicyWithEnv(ModelPolicy(model, wrappers), keywords)
+    from jackbox_env.sb3.saved_models import checked_wrapper, entry_of, load_model
 
-
-def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
-    """A wrapper as env.json has it, its statistics as arrays; raises an exception if it is something else."""
-    if "stack" in wrapper:
-        return {"stack": check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)}
-    mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
-    if mean.ndim != 1 or variance.shape != mean.shape or not (np.isfinite(mean).all() and (variance >= 0.0).all()):
-        raise ValueError("mean and variance must be as many numbers as are observed, at least 0 in the variance")
-    clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
-    return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
-
-
-def _is_normalized(model: Any) -> bool:
-    """Whether the last observations in training had sines and cosines that are none, if they were built-in ones."""
-    last = getattr(model, "_last_obs", None)
-    if not isinstance(last, np.ndarray) or last.ndim != 2 or last.shape[1] not in (10, 21):
-        return False
-    return any(abs(np.square(last[:, pair]).sum(axis=1) - 1.0).max() > 1e-3 for pair in _CIRCLES)
-
-
-def _statistics(path: Path) -> list[dict[str, Any]]:
-    """The statistics in a file of ``VecNormalize``, which is unpickled; none if it normalizes rewards alone."""
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    from jackbox_env.sb3.saved_models import statistics_of
-
-    with as_value_error(f"{path} has no statistics of VecNormalize"):
-        normalize = pickle.loads(path.read_bytes())
-        if not isinstance(normalize, VecNormalize):
-            raise TypeError(f"it is {check.shown(normalize)}")
-        return [statistics_of(normalize)] if normalize.norm_obs else []
+    (model, _), stored = load_model(file, trust=trust, **changed), entry_of(file)
+    keywords = with_objects({**PLAIN, **stored["env"], **changed})
+    return PolicyWithEnv(ModelPolicy(model, [*map(checked_wrapper, stored["wrappers"])]), keywords)

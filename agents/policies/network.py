@@ -24,14 +24,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.files import read_bounded, unpacked_arrays
 from agents.policies.scripted import Actions, PolicyWithEnv, StatelessPolicy
 from agents.runs import SETTINGS
-from agents.settings import MOST_LAYERS, MOST_WEIGHTS, EnvSettings, TrainSettings
+from agents.settings import EnvSettings, TrainSettings
 from jackbox_env.model.action import action_of
 from jackbox_env.model.observation import observation_of
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.tools.files import write_bytes, write_json
+from jackbox_env.tools.model_files import MOST_LAYERS, MOST_WEIGHTS
+from jackbox_env.tools.reading import read_bounded, unpacked_arrays
 
 WEIGHTS = "weights.npz"
 SHIPPED = Path(__file__).parents[1] / "trained"  # a folder <task>-<name> of each policy that comes with the repository

@@ -6,20 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.files import as_value_error
-from agents.policies.models import load, model_in_env, stored_beside
+from agents.policies.models import model_in_env, picture_policy
 from agents.policies.network import SHIPPED, WEIGHTS, NetworkPolicy, layers_of, read_policy
 from agents.policies.one_bounce import LANDING, read_landing
-from agents.policies.pictures import picture_policy
 from agents.policies.planner import FAST_SEARCHES, planner_for
 from agents.policies.scripted import PLAIN, LevelPolicy, PolicyWithEnv, RandomPolicy, StatelessPolicy, ZeroPolicy
 from agents.policies.value import VALUE
-from agents.runs import SETTINGS, TRAINED_BY, model_in, read_parameters, read_settings, run_folder, trusted_settings
-from agents.settings import PER_POLICY, EnvSettings, TrainSettings, with_objects
-from agents.user_code import is_loaded, loaded
-from agents.user_code import load as load_code
+from agents.runs import read_settings, run_folder, trusted_settings
+from agents.settings import EnvSettings
 from jackbox_env import Scene, Task
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.model_files import model_in, read_parameters
+from jackbox_env.tools.reading import as_value_error
+from jackbox_env.tools.user_code import is_loaded, loaded, with_objects
+from jackbox_env.tools.user_code import load as load_code
 
 Maker = Callable[[dict[str, Any], int], PolicyWithEnv]  # of the environment's keywords and a seed
 SCRIPTED: dict[str, Maker] = {
@@ -41,7 +41,6 @@ def find_policy(
     seed: int = 0,
     trust: bool = False,
     chosen: dict[str, Any] | None = None,
-    vecnormalize: Path | None = None,
 ) -> PolicyWithEnv:
     """One of ``POLICIES`` or a shipped policy by its name, or a trained one by its run folder or file.
 
@@ -50,10 +49,9 @@ def find_policy(
         settings: of the environment that it plays in.
         seed: of what it draws.
         trust: unpickle a model that has no settings.json, and run the code that its settings, its env.json or the name
-            of a function name; without it they must be loaded already (:func:`agents.user_code.load`).
+            of a function name; without it they must be loaded already (:func:`jackbox_env.tools.user_code.load`).
         chosen: keywords of the environment, over those of ``settings`` and of env.json. What a policy observes and does
             (:data:`agents.settings.PER_POLICY`) is chosen for such models and functions alone.
-        vecnormalize: file of the statistics of such a model's observations; None: env.json has them.
 
     Raises:
         FileNotFoundError: it is none of these.
@@ -75,25 +73,34 @@ def find_policy(
         raise FileNotFoundError(
             f"a policy must be one of {known}, or a run folder, a model file or file.py:function, got {name!r}"
         )
-    exported = (Path(name) / WEIGHTS).is_file()
-    file = Path(name) if exported else model_in(Path(name))
-    folder = run_folder(file)
-    settings_of_run = trusted_settings(folder, trust) if folder else None
-    if exported:
-        return _read(file)
-    if settings_of_run is not None:
-        return _network(file, lambda: (settings_of_run, read_parameters(file)["policy"]))
-    if not trust:
-        raise FileNotFoundError(
-            f"{file} has no {SETTINGS} beside it to rebuild the model from; if you trust its author, use --trust"
-        )
-    stored = stored_beside(file)
-    model = load(file, stored["algorithm"] if stored else None)
-    trained_by = getattr(model, TRAINED_BY, None)
-    if trained_by is None or stored or vecnormalize or chosen.keys() & {*PER_POLICY}:
-        return model_in_env(file, model, stored, settings, chosen, vecnormalize)
-    load_code(TrainSettings.of(trained_by).objects.values())
-    return _network(file, lambda: (TrainSettings.of(trained_by), model.get_parameters()["policy"]))
+    if (Path(name) / WEIGHTS).is_file():
+        if folder := run_folder(Path(name)):
+            trusted_settings(folder, trust)
+        return _read(Path(name))
+    file = model_in(Path(name))
+    if run_folder(file):
+        return policy_of_run(file, trust)
+    return model_in_env(file, trust, {**settings.changed, **chosen})
+
+
+def policy_of_run(path: Path, trust: bool) -> PolicyWithEnv:
+    """The policy of a run folder, or of a model file in one; nothing is unpickled.
+
+    Args:
+        path: of the folder or the file.
+        trust: run the code that its settings name.
+
+    Raises:
+        FileNotFoundError: there is no model, or no run folder.
+        ValueError: a file is damaged, or the model does not fit the settings.
+    """
+    file = model_in(path)
+    settings = trusted_settings(run_folder(file) or file.parent, trust)
+    with as_value_error(f"{file} is no model of its settings"):
+        parameters = read_parameters(file)["policy"]
+        if settings.pixels:
+            return picture_policy(settings, parameters)
+        return NetworkPolicy(settings, layers_of(parameters)).in_env
 
 
 def with_chosen_env(name: str) -> bool:
@@ -110,19 +117,6 @@ def runs_code(name: str) -> bool:
 def is_function(name: str) -> bool:
     """Whether a policy is a function in a file, ``file.py:function``."""
     return name.rpartition(":")[0].endswith(".py") and not Path(name).exists()
-
-
-def _network(file: Path, read: Callable[[], tuple[TrainSettings, Any]]) -> PolicyWithEnv:
-    """The network in a model file, from its settings and parameters; nothing is unpickled here.
-
-    Raises:
-        ValueError: the file is damaged, or no model of these settings.
-    """
-    with as_value_error(f"{file} is no model of its settings"):
-        settings, parameters = read()
-        if settings.pixels:
-            return picture_policy(settings, parameters)
-        return NetworkPolicy(settings, layers_of(parameters)).in_env
 
 
 def _read(folder: Path) -> PolicyWithEnv:

@@ -11,12 +11,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents.files import DamagedFileError, parsing, report_skipped, unpacked_arrays
-from agents.runs import BEST, EVALUATIONS, is_whole
+from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.training.checkpoints import Checkpoint, model_file
 from agents.training.models import derived_seed, make_vec_env
 from jackbox_env.tools.files import replacing, write_bytes
+from jackbox_env.tools.model_files import BEST, is_whole
+from jackbox_env.tools.reading import DamagedFileError, parsing, report_skipped, unpacked_arrays
 
 
 def choosing_seed(settings: TrainSettings) -> int:

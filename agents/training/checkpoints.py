@@ -9,8 +9,8 @@ from pathlib import Path
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.runs import Parameters, read_if_whole
 from jackbox_env.tools.files import write_bytes
+from jackbox_env.tools.model_files import Parameters, read_if_whole
 
 CHECKPOINTS = "checkpoints"
 

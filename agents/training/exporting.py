@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stable_baselines3.common.preprocessing import is_image_space
-
-from agents.policies.network import layers_of, write_with_layers
-from agents.runs import CODE, EVALUATIONS, SETTINGS, TIME, read_settings, run_folder
-from agents.training.models import load_model
+from agents.policies.network import NetworkPolicy, write_with_layers
+from agents.policies.registry import policy_of_run
+from agents.runs import EVALUATIONS, SETTINGS, TIME, run_folder
 from jackbox_env.tools.files import write_bytes
+from jackbox_env.tools.user_code import CODE
 
 
 def export_policy(run: Path, folder: Path, trust: bool = False) -> None:
@@ -18,17 +17,16 @@ def export_policy(run: Path, folder: Path, trust: bool = False) -> None:
     Args:
         run: run folder, or a model file in one.
         folder: of the new files, see :mod:`agents.policies.network`.
-        trust: as of :func:`load_model`.
+        trust: as of :func:`agents.policies.registry.policy_of_run`.
 
     Raises:
-        FileNotFoundError, ValueError: as :func:`load_model`; or the policy observes pictures.
+        FileNotFoundError, ValueError: as ``policy_of_run``; or the policy observes pictures.
     """
-    model = load_model(run, trust)
-    if is_image_space(model.observation_space):
+    policy = policy_of_run(run, trust).policy
+    if not isinstance(policy, NetworkPolicy):
         raise ValueError(f"{run} observes pixels, and only networks of numbers can be exported")
-    layers = layers_of(model.get_parameters()["policy"])
+    write_with_layers(folder, SETTINGS, policy.settings, policy.layers)
     source = run_folder(run) or run
-    write_with_layers(folder, SETTINGS, read_settings(source), layers)
     for name in (CODE, EVALUATIONS, TIME):
         if (source / name).is_file():
             write_bytes(folder / name, (source / name).read_bytes())

@@ -16,9 +16,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from agents.files import first_line, locked, unpacked
 from agents.policies.network import WEIGHTS
-from agents.runs import MODEL, SETTINGS, TIME, describe, is_whole, model_in, read_parameters, read_settings
+from agents.runs import SETTINGS, TIME, describe, locked, read_settings
 from agents.settings import TrainSettings
 from agents.training.best import KeepBest, read_evaluations
 from agents.training.checkpoints import (
@@ -28,9 +27,12 @@ from agents.training.checkpoints import (
     latest_checkpoint,
     model_file,
 )
-from agents.training.models import derived_seed, make_ppo, make_vec_env
-from jackbox_env.sb3 import Durations, JackInBoxVecEnv
+from agents.training.models import derived_seed, make_ppo
+from jackbox_env.sb3 import Durations, JackInBoxVecEnv, load_model
+from jackbox_env.sb3.saved_models import write_entries
 from jackbox_env.tools.files import new_folder, remove_partials, write_bytes, write_json
+from jackbox_env.tools.model_files import MODEL, is_whole
+from jackbox_env.tools.reading import first_line, unpacked
 
 FRESH_EPISODES = 64  # that judge the trained model
 # Of the rewards, if policy and value share the convolutions of pictures: about 1 in sum, so that neither loss is lost
@@ -70,6 +72,7 @@ def train(settings: TrainSettings, folder: Path, progress: bool = True) -> PPO:
                 f"{folder} is finished: it has a {MODEL}, and runs are never overwritten. To train it further, resume "
                 "it with more total steps"
             )
+        write_entries(folder, settings.named, settings.arguments)
         model = _resumed(settings, folder)
         done = model.num_timesteps
         print(f"Continuing after {done:,} steps" if done else "Starting from the beginning")
@@ -130,10 +133,8 @@ def reached(folder: Path, settings: TrainSettings) -> str:
         name = f"best model, after {steps:,} steps,"
     else:
         name = "last model (no evaluation was made: the run was shorter than eval_steps)"
-    environments = make_vec_env(settings.env_settings, FRESH_EPISODES, 0)
-    model = make_ppo(settings, environments)
-    environments.seed(derived_seed("evaluation", settings.seed))  # PPO has seeded them by its own seed
-    model.set_parameters(read_parameters(model_in(folder)), device="cpu")
+    model, environments = load_model(folder, FRESH_EPISODES)
+    environments.seed(derived_seed("evaluation", settings.seed))
     returns, _ = evaluate_policy(model, environments, FRESH_EPISODES, return_episode_rewards=True)
     half = float(stats.t.ppf(0.975, FRESH_EPISODES - 1) * stats.sem(returns))
     return (

@@ -7,27 +7,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from agents.policies.pictures import policy_kwargs
 from agents.settings import TrainSettings
 
 
 def zoo_settings(settings: TrainSettings) -> dict[str, Any]:
     """The settings in the zoo's format. The zoo makes single environments and steps them in turn."""
     return {
+        **settings.arguments,
         "env_kwargs": settings.env_settings,
         "n_envs": settings.num_envs,
         "n_timesteps": settings.total_steps,
-        "policy": "MlpPolicy",
-        "n_steps": settings.rollout_steps,
-        "batch_size": settings.batch_size,
-        "n_epochs": settings.epochs,
         "learning_rate": f"lin_{settings.learning_rate}",
         # The zoo's buffer has one discount for all decisions; with one per bounce they last 0.8 s in the mean.
         "gamma": settings.gamma**0.8 if settings.action_repeat == "bounce" else settings.gamma,
-        "gae_lambda": settings.gae_lambda,
-        "clip_range": settings.clip_range,
-        "ent_coef": settings.entropy_coefficient,
-        "policy_kwargs": policy_kwargs(settings),
     }
 
 

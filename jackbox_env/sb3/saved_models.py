@@ -1,7 +1,8 @@
-"""Models of Stable-Baselines3 saved together with the environment that they act in."""
+"""Models of Stable-Baselines3, saved and loaded together with the environment that they act in."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 import warnings
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from jackbox_env.model.action import ACTIONS, Action
@@ -17,11 +19,16 @@ from jackbox_env.model.observation import OBSERVATIONS, Observation
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.tasks import TASKS, Task
+from jackbox_env.sb3.vec_env import make_sb3_vec_env
 from jackbox_env.simulators.fidelity import KEYWORDS
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import replacing, write_json
+from jackbox_env.tools.model_files import BEST, MODEL, check_sizes, model_in, read_parameters
+from jackbox_env.tools.reading import as_value_error
+from jackbox_env.tools.user_code import is_object, load_trusted, with_objects
 
 with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
+    from stable_baselines3 import PPO
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
@@ -33,6 +40,10 @@ _WITHOUT_EFFECT = {
     "VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder",
 }  # fmt: skip
 _KEYS = {"algorithm": str, "env": dict, "missing": list, "wrappers": list}  # of an entry
+_ARGUMENTS = (  # of PPO, that an entry may have, in which case only tensors are read of its model
+    "policy", "learning_rate", "n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef",
+    "policy_kwargs",
+)  # fmt: skip
 _BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
 _PICTURES = ("render_mode", "render_size", "render_overlay")
 _MOST_BYTES = 10_000_000  # that are read of env.json
@@ -41,10 +52,10 @@ _MOST_BYTES = 10_000_000  # that are read of env.json
 def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
     """Save a model of Stable-Baselines3 or sb3_contrib, and in env.json beside it the environment that it acts in.
 
-    ``jackbox evaluate --policy model.zip --trust`` then plays it where it was trained. env.json has an entry for each
-    model of its folder: the environment's keywords, the statistics of ``VecNormalize`` as numbers and the number of
-    frames of ``VecFrameStack``. A task, an observation or an action of your own is stored by its name in the module or
-    the file that defines it, which ``evaluate`` then runs: so a script must train under
+    :func:`load_model` returns both, and ``jackbox evaluate --policy model.zip --trust`` plays it. env.json has an
+    entry for each model of its folder: the environment's keywords, the statistics of ``VecNormalize`` as numbers and
+    the number of frames of ``VecFrameStack``. A task, an observation or an action of your own is stored by its name in
+    the module or the file that defines it, which loading then runs: so a script must train under
     ``if __name__ == "__main__":``. If it has no such name, there is a warning. Both files are replaced in one stroke.
 
     Args:
@@ -77,6 +88,140 @@ def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
         model.save(partial)
     write_json(path.parent / ENV, stored)
     return path
+
+
+def write_entries(folder: Path, env: dict[str, Any], arguments: dict[str, Any]) -> None:
+    """Write the env.json of a training by PPO in a run folder, whose models :func:`load_model` then does not unpickle.
+
+    Args:
+        folder: of the run.
+        env: keywords of :func:`make_sb3_vec_env`, of JSON types; objects are named, and code.json has their texts.
+        arguments: keywords of PPO, of JSON types.
+    """
+    entry = {"env": env, "missing": [], "wrappers": [], "algorithm": _algorithm_of(PPO), "arguments": arguments}
+    write_json(folder / ENV, dict.fromkeys((BEST, MODEL), entry))
+
+
+def load_model(
+    path: str | Path, num_envs: int = 1, trust: bool = False, **env_kwargs: Any
+) -> tuple[BaseAlgorithm, VecEnv]:
+    """Load a model that :func:`save_model` or ``jackbox train`` saved, and environments as those it was trained in.
+
+    They have the stored statistics of ``VecNormalize``, which do not change, and the frames of ``VecFrameStack``.
+    Rewards are the task's own. Models of ``jackbox train`` load from settings and tensors. Other files are unpickled.
+
+    Args:
+        path: of the model, or a run folder: its best model, else its last.
+        num_envs: number of environments. Seed them by ``.seed(0)``, then reset.
+        trust: unpickle the model, and run the code of a task, observation or action of a user that env.json names.
+        **env_kwargs: of :func:`make_sb3_vec_env`, in place of what is stored.
+
+    Returns:
+        The model and the environments. To train a model of ``jackbox train`` further, its learning rate is constant.
+
+    Raises:
+        FileNotFoundError: there is no model, or no env.json that describes it.
+        ValueError: trust is needed; or a file is damaged, or the model does not fit its environment; or ``env_kwargs``
+            lacks a keyword that env.json cannot store.
+    """
+    file = model_in(Path(path))
+    stored = entry_of(file)
+    if not (trust or "arguments" in stored):
+        raise ValueError(f"{file} can run code, as it is unpickled: if you trust its author, use --trust or trust=True")
+    keywords = {**stored["env"], **env_kwargs}
+    if missing := {*map(str, stored["missing"])} - keywords.keys():
+        name = min(missing)
+        raise ValueError(
+            f"{file} was trained with a {name} that {ENV} cannot store: load it with {name}=..., or evaluate it with "
+            f"--env {name}=file.py:name"
+        )
+    load_trusted(file.parent.absolute(), filter(is_object, keywords.values()), trust)
+    with as_value_error(f"{file} cannot be played as {ENV} describes and options change"):
+        environments = wrapped(make_sb3_vec_env(num_envs, **with_objects(keywords)), stored["wrappers"])
+    with as_value_error(f"{file} is no model of {ENV} beside it"):
+        if "arguments" not in stored:
+            return algorithm_named(stored["algorithm"]).load(file, env=environments, device="cpu"), environments
+        model = make_model(environments, _checked(stored["arguments"], environments))
+        model.set_parameters(read_parameters(file), device="cpu")
+    return model, environments
+
+
+def make_model(environments: VecEnv, arguments: dict[str, Any], **more: Any) -> PPO:
+    """An untrained PPO model on the CPU, whose batches have at most the samples of a rollout."""
+    size = min(arguments["batch_size"], arguments["n_steps"] * environments.num_envs)
+    return PPO(env=environments, device="cpu", **{**arguments, "batch_size": size, **more})
+
+
+def _checked(arguments: dict[str, Any], environments: VecEnv) -> dict[str, Any]:
+    """The arguments; raises an exception if they are not known, or make a model beyond any memory."""
+    check.known_keys("arguments", arguments, _ARGUMENTS)
+    check.known_keys("policy_kwargs", arguments["policy_kwargs"], ("net_arch", "log_std_init"))
+    steps, layers = check.whole("n_steps", arguments["n_steps"], at_least=1), arguments["policy_kwargs"]["net_arch"]
+    widths = [check.whole("net_arch", width, at_least=1) for width in layers]
+    check_sizes(environments.num_envs, steps, environments.observation_space.shape or (), widths)
+    return arguments
+
+
+def algorithm_named(name: str) -> type[BaseAlgorithm]:
+    """The algorithm ``module:class`` of Stable-Baselines3 or sb3_contrib.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    module, _, attribute = name.partition(":")
+    kind = getattr(importlib.import_module(module), attribute, None) if module.split(".")[0] in PACKAGES else None
+    if not (isinstance(kind, type) and issubclass(kind, BaseAlgorithm)):
+        raise ValueError(f"its algorithm must be of {' or '.join(PACKAGES)}, got {check.shown(name)}")
+    return kind
+
+
+def wrapped(environments: VecEnv, wrappers: list[dict[str, Any]]) -> VecEnv:
+    """Environments in the wrappers of an entry, the innermost first; raises an exception if these do not fit."""
+    if wrappers and len(environments.observation_space.shape or ()) > 1:
+        raise ValueError("its observations are pixels, which env.json cannot stack or scale")
+    for wrapper in map(checked_wrapper, wrappers):
+        if "stack" in wrapper:
+            environments = VecFrameStack(environments, wrapper["stack"])
+            continue
+        (count,) = environments.observation_space.shape or ()
+        mean, limits = wrapper["mean"], {"clip_obs": wrapper["clip"], "epsilon": wrapper["epsilon"]}
+        if mean.shape != (count,):
+            raise ValueError(f"mean and variance must be {count} numbers, as are observed, got {mean}")
+        environments = VecNormalize(environments, training=False, norm_reward=False, **limits)
+        statistics: Any = environments.obs_rms
+        statistics.mean, statistics.var = mean, wrapper["variance"]
+    return environments
+
+
+def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
+    """A wrapper as env.json has it, its statistics as arrays; raises an exception if it is something else."""
+    if "stack" in wrapper:
+        return {"stack": check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)}
+    mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
+    if mean.ndim != 1 or variance.shape != mean.shape or not (np.isfinite(mean).all() and (variance >= 0.0).all()):
+        raise ValueError("mean and variance must be as many numbers as are observed, at least 0 in the variance")
+    clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
+    return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
+
+
+def entry_of(file: Path) -> dict[str, Any]:
+    """What env.json beside a model has about it.
+
+    A model that was renamed has the only entry, if no other model is in its folder.
+
+    Raises:
+        FileNotFoundError: env.json is missing, or has no entry for it.
+        ValueError: env.json is damaged.
+    """
+    entries = read_stored(file.parent / ENV)
+    if len(entries) == 1 and list(file.parent.glob(f"*{file.suffix}")) == [file]:
+        return next(iter(entries.values()))
+    if file.name not in entries:
+        raise FileNotFoundError(
+            f"{file} needs an {ENV} beside it that describes its environment: load it with its environments, as "
+            "PPO.load(path, env=envs), and save it by jackbox_env.sb3.save_model"
+        )
+    return entries[file.name]
 
 
 def read_stored(path: Path) -> dict[str, dict[str, Any]]:

@@ -20,14 +20,15 @@ import pytest
 import torch._dynamo  # noqa: F401  # Adam does so at its first use, which takes seconds
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.files import read_json
-from agents.runs import BEST, EVALUATIONS, MODEL, read_parameters
+from agents.runs import EVALUATIONS
 from agents.settings import TrainSettings
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import read_evaluations
 from agents.training.checkpoints import Checkpoint, checkpoint_path, steps_of_checkpoints
 from agents.training.models import make_vec_env
+from jackbox_env.tools.model_files import BEST, MODEL, read_parameters
+from jackbox_env.tools.reading import read_json
 from scripts import train as command
 
 # Six rollouts, three evaluations, three checkpoints, the first for an evaluation: a fraction of a second.

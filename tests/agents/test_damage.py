@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.runs import BEST, EVALUATIONS, MODEL, describe, read_parameters
+from agents.runs import EVALUATIONS, describe
 from agents.training import best
 from agents.training import ppo as training
 from agents.training.best import read_evaluations
 from agents.training.checkpoints import CHECKPOINTS, checkpoint_path, steps_of_checkpoints
-from agents.training.models import load_model
+from jackbox_env.sb3 import load_model
 from jackbox_env.tools.files import new_folder
+from jackbox_env.tools.model_files import BEST, MODEL, read_parameters
 from tests.agents.killing import SMALL, check_finished, expected_steps, short_episodes, stop_after
 
 STOPPED = 80  # steps done of the 96, two evaluations among them
@@ -137,12 +138,12 @@ def test_a_run_with_a_damaged_best_model_loads_its_last_and_prints_a_message(
 ) -> None:
     finished = runs / "finished"
     shutil.copy(checkpoint_path(finished, 16), finished / BEST)  # another than the last
-    last, best = (load_model(finished / name).get_parameters()["policy"] for name in (MODEL, BEST))
+    last, best = (load_model(finished / name)[0].get_parameters()["policy"] for name in (MODEL, BEST))
     assert any(bool((last[name] != best[name]).any()) for name in last)
     harm(finished / BEST, "half")
-    loaded = load_model(finished).get_parameters()["policy"]
+    loaded = load_model(finished)[0].get_parameters()["policy"]
     assert skipped(capsys.readouterr().err, finished / BEST)
     assert all(bool((last[name] == loaded[name]).all()) for name in last)
     harm(finished / MODEL, "half")
-    with pytest.raises(ValueError, match="model.zip is no model of the settings beside it"):
+    with pytest.raises(ValueError, match="model.zip is no model of env.json beside it"):
         load_model(finished)

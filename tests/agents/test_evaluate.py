@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents import user_code
 from agents.evaluation.episodes import page_names, record_episode
 from agents.evaluation.provenance import note_other_environment
 from agents.policies.models import ENV_KEYWORDS
 from agents.policies.registry import find_policy
 from agents.settings import PER_POLICY, EnvSettings
 from agents.training.models import derived_seed
-from jackbox_env.sb3 import make_sb3_vec_env, save_model
+from jackbox_env.sb3 import load_model, make_sb3_vec_env, save_model
 from jackbox_env.simulators.fidelity import KEYWORDS
+from jackbox_env.tools import user_code
 from tests.agents.test_sweep import MINE
 from tests.commands.test_samples import data_of
 from tests.script import script
@@ -165,6 +166,13 @@ def test_a_task_and_an_observation_of_a_file_train_and_play_and_run_only_if_trus
         assert f"{policies[0]} was trained in another environment (task mine.py:task, fidelity coarse)" in noted
         means += [row["mean"] for row in json.loads((tmp_path / folder / "again.json").read_text())["results"]]
     assert len(set(means)) == 1
+    forget()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match="run runs code"):
+        load_model("../run")
+    model, envs = load_model("../run", 2, trust=True)
+    envs.seed(derived_seed("evaluation", 0))
+    assert evaluate_policy(model, envs, 2)[0] == pytest.approx(record["results"][2]["mean"])
     forget()
     refused = script("evaluate", *play[:5], "../run", "--trust", cwd=tmp_path / "elsewhere", status=2).stderr
     assert refused.startswith("../run cannot be used: ValueError: mine.py has two versions here")

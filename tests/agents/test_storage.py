@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.files import LOCK, FolderInUseError, locked
+from agents.runs import LOCK, FolderInUseError, locked
 from jackbox_env.tools.files import new_file, new_folder, remove_partials, replacing, write_json, write_text
 from tests.agents.killing import ended, start
 

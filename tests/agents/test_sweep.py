@@ -20,12 +20,12 @@ from typing import Any
 import pytest
 from stable_baselines3 import PPO
 
-from agents import sweep, user_code
+from agents import sweep
 from agents.evaluation.returns import evaluate
-from agents.files import FolderInUseError, locked
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.runners import Results, Runner, Trials, Work, in_turn, on_cores
+from agents.runs import FolderInUseError, locked
 from agents.settings import NOUNS, EnvSettings
 from agents.sweep import (
     LOG,
@@ -37,6 +37,7 @@ from agents.sweep import (
     read_sweep,
 )
 from jackbox_env.sb3 import make_sb3_vec_env, save_model
+from jackbox_env.tools import user_code
 from tests.agents.small_run import TINY
 from tests.agents.trials import GRID, fragile, shares
 from tests.script import ROOT, script

@@ -17,8 +17,8 @@ import pytest
 from agents.runners import in_turn
 from agents.sweep import TABLE, Code, carry_out, code_named, grid, new_sweep, run_trial
 from agents.sweep_ray import runner_for
-from agents.user_code import texts_of
 from jackbox_env.jit import folders
+from jackbox_env.tools.user_code import texts_of
 from tests.agents.small_run import TINY
 from tests.agents.test_sweep import MINE, carried_out
 

@@ -22,9 +22,10 @@ from agents.runs import describe, read_settings
 from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.checkpoints import latest_checkpoint
-from agents.training.models import load_model, make_ppo, make_vec_env
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env.sb3 import Durations
 from jackbox_env.tools.files import new_folder
+from jackbox_env.tools.model_files import read_parameters
 from tests.agents.small_run import TINY
 
 # -- training ----------------------------------------------------------------------------------------------------------
@@ -54,7 +55,7 @@ def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path
     checkpoint = folder / "checkpoints" / "ppo_768.zip"
     checkpoint.write_bytes((run / "checkpoints" / "ppo_768.zip").read_bytes())
     resumed = training.train(replace(TINY, total_steps=768), folder, progress=False)
-    saved = load_model(checkpoint).get_parameters()
+    saved = read_parameters(checkpoint)
     torch.testing.assert_close(resumed.get_parameters()["policy"], saved["policy"], rtol=0.0, atol=0.0)
     assert saved["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
 
@@ -62,7 +63,7 @@ def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path
 def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
-    last = load_model(folder / "model.zip").get_parameters()["policy"]
+    last = read_parameters(folder / "model.zip")["policy"]
     more = training.extended(folder, TINY.total_steps + 512)
     assert more == read_settings(folder) == replace(TINY, total_steps=TINY.total_steps + 512)
     steps, parameters = latest_checkpoint(folder)

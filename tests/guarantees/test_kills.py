@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from agents.files import locked
-from agents.runs import MODEL
+from agents.runs import locked
+from jackbox_env.tools.model_files import MODEL
 from tests.agents import killing
 from tests.agents.killing import KILLS, check_finished, check_whole, ended, start
 

@@ -15,18 +15,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from agents.files import LOCK, unpacked
 from agents.policies.network import WEIGHTS, read_policy
 from agents.policies.registry import find_policy
 from agents.runners import in_turn
-from agents.runs import EVALUATIONS, read_settings
+from agents.runs import EVALUATIONS, LOCK, read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.sweep import LOG, SWEEP, TABLE, carry_out, new_sweep, read_sweep, run_trial
 from agents.training.best import read_evaluations
-from agents.training.models import load_model, make_ppo, make_vec_env
+from agents.training.models import make_ppo, make_vec_env
+from jackbox_env.sb3 import load_model, save_model
+from jackbox_env.sb3.saved_models import write_entries
+from jackbox_env.tools.reading import unpacked
 
 TINY = TrainSettings.suited(action="torque", num_envs=1, rollout_steps=2, batch_size=2, hidden_units=(4,))
 MOST_MEMORY = 10_000_000  # [bytes]
@@ -92,7 +93,66 @@ def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values
     folder = folder_with(tmp_path, changed(**values))
     (folder / "model.zip").write_bytes(b"")
     with little_memory(), pytest.raises(ValueError, match=f"has no settings of a run: {reason}"):
-        load_model(folder)
+        find_policy(str(folder / "model.zip"), EnvSettings())
+
+
+def with_arguments(**change: Any) -> dict[str, Any]:
+    return {"arguments": {**TINY.arguments, **change}}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (with_arguments(policy_kwargs={"net_arch": [5000, 5000]}), "hidden_units .* 20,000,000 weights"),
+        (with_arguments(policy_kwargs={"net_arch": [1] * 33}), "hidden_units .* got 33"),
+        (with_arguments(policy_kwargs={"net_arch": "x"}), "net_arch must be a whole number .* got 'x'"),
+        (
+            with_arguments(policy_kwargs={"net_arch": [4], "features_extractor_class": "x"}),
+            "policy_kwargs accepts only",
+        ),
+        (with_arguments(n_steps=10**9), r"num_envs \* rollout_steps .* got 1,000,000,000"),
+        (with_arguments(n_steps=1.5), "n_steps must be a whole number"),
+        (with_arguments(batch_size="x"), "is no model of env.json beside it: TypeError"),
+        (with_arguments(tensorboard_log="/"), "arguments accepts only .* got 'tensorboard_log'"),
+        ({"arguments": 5}, "is no model of env.json beside it: TypeError"),
+        ({"env": {"observation": "pixels-4096x4096x4095"}}, "Pixels must be at most"),
+        ({"env": {"observation": "mine.py:seen"}}, "runs code .'mine.py:seen'.: if you trust its author"),
+        ({"env": {"torques": 1}}, "make_sb3_vec_env accepts only"),
+        ({"wrappers": [{"stack": 10**9}]}, "stack must be a whole number from 1 to 1000"),
+        ({"env": {}, "missing": ["task"]}, "was trained with a task that env.json cannot store: load it with task="),
+    ],
+)
+def test_an_untrusted_description_is_refused_before_anything_is_made(
+    saved: Path, change: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(saved)
+    (saved / "env.json").write_text(json.dumps({"model.zip": {**entry_in(saved), **change}}))
+    (saved / "mine.py").write_text("import pathlib\npathlib.Path('ran').touch()\nseen = None")
+    (saved / "settings.json").unlink()
+    for load in (load_model, evaluated):
+        with little_memory(), pytest.raises(ValueError, match=reason) as refusal:
+            load(saved / "model.zip")
+        assert "\n" not in str(refusal.value)
+    assert not (saved / "ran").exists()
+
+
+@pytest.mark.parametrize("algorithm", ["stable_baselines3.common.save_util:load_from_pkl", "os:system"])
+def test_an_algorithm_is_of_stable_baselines3_even_if_it_is_trusted(saved: Path, algorithm: str) -> None:
+    entry = {"algorithm": algorithm, "env": {}, "missing": [], "wrappers": []}
+    (saved / "env.json").write_text(json.dumps({"model.zip": entry}))
+    with pytest.raises(ValueError, match=f"algorithm must be of stable_baselines3 or sb3_contrib, got '{algorithm}'"):
+        load_model(saved / "model.zip", trust=True)
+
+
+def entry_in(folder: Path, name: str = "model.zip") -> dict[str, Any]:
+    """What env.json has about a model."""
+    entry: dict[str, Any] = json.loads((folder / "env.json").read_text())[name]
+    return entry
+
+
+def evaluated(path: Path, trust: bool = False) -> Any:
+    """What evaluates a model file."""
+    return find_policy(str(path), EnvSettings(), trust=trust)
 
 
 # -- model files ------------------------------------------------------------------------------------------------------
@@ -102,6 +162,7 @@ def test_absurd_sizes_are_refused_before_anything_is_made(tmp_path: Path, values
 def saved(tmp_path: Path) -> Path:
     """A run folder with a model."""
     folder = folder_with(tmp_path, changed())
+    write_entries(folder, TINY.named, TINY.arguments)
     make_ppo(TINY, make_vec_env(TINY.env_settings, 1, 0)).save(folder / "model.zip")
     return folder
 
@@ -152,7 +213,7 @@ def test_a_zip_bomb_is_refused_before_it_is_inflated(saved: Path, kind: str, und
         content = disguised(zipped({**({} if understate else contents), kind: ZEROS}))
     assert len(content) < 1_000_000
     (saved / "model.zip").write_bytes(content)
-    match = f"is no model of the settings beside it: .*{sentence}"
+    match = f"is no model of env.json beside it: .*{sentence}"
     with little_memory(), pytest.raises(ValueError, match=match):
         load_model(saved)
 
@@ -180,7 +241,8 @@ def test_other_methods_are_refused(saved: Path, method: int) -> None:
 def test_loading_never_unpickles_and_would_be_seen_to(saved: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A model whose pickled part runs code when unpickled: loaded safely it does not, with trust it does."""
     shared = tmp_path_factory.mktemp("shared")
-    (shared / "settings.json").write_text((saved / "settings.json").read_text())
+    for name in ("settings.json", "env.json"):
+        (shared / name).write_bytes((saved / name).read_bytes())
     witness = shared / "witness"
     code = f"""
 import base64, cloudpickle, pathlib
@@ -194,14 +256,22 @@ print(base64.b64encode(cloudpickle.dumps(Bomb())).decode())
     poison = {":type:": "<class 'function'>", ":serialized:": payload}
     contents["data"] = json.dumps({**json.loads(contents["data"]), "lr_schedule": poison}).encode()
     (shared / "model.zip").write_bytes(zipped(contents))
-    assert load_model(shared).predict(np.zeros(21, dtype=np.float32))[0].shape == (1,)
-    assert not witness.exists()
-    find_policy(str(shared), EnvSettings(), trust=True)  # trust is for models without settings only
+    for trust in (False, True):  # which is for models without settings only
+        model, envs = load_model(shared, trust=trust)
+        assert model.predict(envs.reset())[0].shape == (1, 1)  # type: ignore[arg-type]
+        find_policy(str(shared), EnvSettings(), trust=trust)
     assert not witness.exists()
     (shared / "settings.json").unlink()
-    with contextlib.suppress(Exception):  # it may or may not load after what it did
-        find_policy(str(shared), EnvSettings(), trust=True)
-    assert witness.exists()
+    save_model(model, shared / "described.zip")  # for its entry
+    (shared / "env.json").write_text(json.dumps({"model.zip": entry_in(shared, "described.zip")}))
+    for load in (load_model, evaluated):
+        with pytest.raises(ValueError, match="model.zip can run code, as it is unpickled: if you trust its author"):
+            load(shared / "model.zip")
+        assert not witness.exists()
+        with contextlib.suppress(Exception):  # it may or may not load after what it did
+            load(shared / "model.zip", trust=True)
+        assert witness.exists()
+        witness.unlink()
 
 
 # -- sweeps -----------------------------------------------------------------------------------------------------------
@@ -219,6 +289,7 @@ def test_what_becomes_code_after_a_sweep_was_read_does_not_run(saved: Path, monk
     _, code = read_sweep(Path("sweep"))
     Path("f.py:act").rmdir()
     Path("settings.json").unlink()
+    Path("env.json").write_text(Path("env.json").read_text().replace("arguments", "others"))
     for trial, said in zip(trials, ("f.py:act is code, which runs only with --trust", "use --trust"), strict=True):
         with pytest.raises((ValueError, FileNotFoundError), match=said):
             run_trial(Path("sweep"), code, trial)

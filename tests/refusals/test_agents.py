@@ -12,19 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import DamagedFileError, read_json
 from agents.policies.network import NetworkPolicy, layers_of, read_policy, write_with_layers
 from agents.policies.one_bounce import LandingSettings, read_landing
 from agents.policies.planner import Planner
-from agents.policies.registry import find_policy
+from agents.policies.registry import find_policy, policy_of_run
 from agents.policies.value import Value, read_value
 from agents.runs import read_settings
 from agents.settings import EnvSettings, TrainSettings
 from agents.sweep import new_sweep, read_sweep
-from agents.training.models import load_model, make_ppo, make_vec_env
+from agents.training.models import make_ppo, make_vec_env
 from jackbox_env import Scene
 from jackbox_env.recording.film import check_film
+from jackbox_env.sb3 import load_model
 from jackbox_env.tools.files import write_json
+from jackbox_env.tools.reading import DamagedFileError, read_json
 from tests.agents.small_run import TINY
 from tests.agents.test_saved_models import HERE
 from tests.agents.untrained import layers_for
@@ -249,15 +250,22 @@ RUNS = [
         files({"run/a": ""}),
     ),
     Refusal(
-        lambda _: load_model(Path("a/model.zip")),
+        lambda _: policy_of_run(Path("a/model.zip"), trust=False),
         FileNotFoundError,
-        "a/model.zip has no settings.json beside it to rebuild the model from",
+        "a has no settings.json",
         files({"a/model.zip": "a"}),
     ),
     Refusal(
-        lambda _: load_model(Path("model.zip")),
+        lambda _: load_model(Path("a/model.zip")),
+        FileNotFoundError,
+        "a/model.zip needs an env.json beside it that describes its environment: load it with its environments, as "
+        "PPO.load(path, env=envs), and save it by jackbox_env.sb3.save_model",
+        files({"a/model.zip": "a", "a/settings.json": json.dumps(asdict(PLAIN))}),
+    ),
+    Refusal(
+        lambda _: policy_of_run(Path("model.zip"), trust=False),
         ValueError,
-        "model.zip is no model of the settings beside it: RuntimeError: ...",
+        "model.zip is no model of its settings: ValueError: the layers must have shapes ...",
         Subject(
             folder,
             lambda path: fill(
@@ -268,9 +276,9 @@ RUNS = [
         ),
     ),
     Refusal(
-        lambda _: load_model(Path("model.zip")),
+        lambda _: policy_of_run(Path("model.zip"), trust=False),
         ValueError,
-        "model.zip is no model of the settings beside it: DamagedFileError: model.zip is damaged (...)",
+        "model.zip is no model of its settings: DamagedFileError: model.zip is damaged (...)",
         files({"model.zip": "nonsense", "settings.json": json.dumps(asdict(PLAIN))}),
     ),
     Refusal(

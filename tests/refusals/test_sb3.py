@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
-from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -16,13 +14,13 @@ import pytest
 import torch
 from sb3_contrib import ARS
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 import jackbox_env.torch
 from agents.policies.registry import find_policy
 from jackbox_env.sb3 import Durations, make_sb3_vec_env, save_model
 from scripts import evaluate
-from tests.agents.test_saved_models import HERE, Other, native, trained
+from tests.agents.test_saved_models import HERE, Other, native
 from tests.refusals.sentences import (
     START,
     Refusal,
@@ -208,16 +206,10 @@ def damaged(sentence: str, **change: Any) -> Refusal:
     )
 
 
-@cache
-def model_of(make: Callable[[], Any]) -> bytes:
-    trained(make()).save(file := io.BytesIO())
-    return file.getvalue()
-
-
-def misfit(make: Callable[[], Any], sentence: str, *options: str) -> Refusal:
-    """A model that is evaluated elsewhere than it was trained."""
-    subject = Subject(folder, lambda path: fill(path, {"model.zip": model_of(make)}), contents)
-    return Refusal(command(evaluate.main, "--policy", "model.zip", "--trust", *options), SystemExit, sentence, subject)
+def misfit(sentence: str, option: str) -> Refusal:
+    """A saved model that is evaluated elsewhere than it was trained."""
+    evaluates = command(evaluate.main, "--policy", "model.zip", "--trust", "--env", option)
+    return Refusal(evaluates, SystemExit, sentence, Subject(folder, lambda path: fill(path, stored()), contents))
 
 
 STATISTICS = {"mean": [0.0], "variance": [], "clip": 1.0, "epsilon": 1e-8}
@@ -226,9 +218,16 @@ BESIDE = "env.json: model.zip must have algorithm (str), env (dict), missing (li
 MODELS = [
     Refusal(
         lambda _: find_policy("model.zip", HERE),
-        FileNotFoundError,
-        "model.zip has no settings.json beside it to rebuild the model from; if you trust its author, use --trust",
+        ValueError,
+        "model.zip can run code, as it is unpickled: if you trust its author, use --trust or trust=True",
         Subject(folder, lambda path: fill(path, stored()), contents),
+    ),
+    Refusal(
+        lambda _: find_policy("best_model.zip", HERE),
+        FileNotFoundError,
+        "best_model.zip needs an env.json beside it that describes its environment: load it with its environments, as "
+        "PPO.load(path, env=envs), and save it by jackbox_env.sb3.save_model",
+        files({"best_model.zip": "a"}),
     ),
     Refusal(
         lambda _: find_policy("mine.py:none", HERE, trust=True),
@@ -237,45 +236,45 @@ MODELS = [
         files({"mine.py": ""}),
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance "
+        "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
         "must be as many numbers as are observed, at least 0 in the variance",
         wrappers=[STATISTICS],
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance "
+        "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
         "must be as many numbers as are observed, at least 0 in the variance",
         wrappers=[{**STATISTICS, "variance": [-1.0]}],
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: stack must be a whole "
+        "model.zip cannot be played as env.json describes and options change: ValueError: stack must be a whole "
         "number from 1 to 1000, got 0",
         wrappers=[{"stack": 0}],
     ),
     damaged(
-        "model.zip is no model of Stable-Baselines3: ValueError: its algorithm must be of "
+        "model.zip is no model of env.json beside it: ValueError: its algorithm must be of "
         "stable_baselines3 or sb3_contrib, got 'os:system'",
         algorithm="os:system",
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: observation must be "
+        "model.zip cannot be played as env.json describes and options change: ValueError: observation must be "
         "one of 'state', 'landing', 'pixels', got 'sea'",
         env={"observation": "sea"},
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: nowhere.py:x cannot "
-        "be imported: FileNotFoundError: [Errno 2] No such file or directory: 'nowhere.py'",
+        "... cannot be used: ValueError: nowhere.py:x cannot be imported: FileNotFoundError: [Errno 2] No such file or "
+        "directory: 'nowhere.py'",
         env={"observation": "nowhere.py:x"},
     ),
     *(damaged(f"{BESIDE}, wrappers (list), got {'...' if change else '{}'}", **change) for change in DAMAGED),
-    damaged("missing in env.json accepts only 'contact', ..., got 5", missing=[5]),
+    damaged("model.zip was trained with a 5 that env.json cannot store: load it with 5=..., or ...", missing=[5]),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: mean and variance must be 20 numbers, "
-        "as are observed, got [0.]",
+        "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
+        "must be 20 numbers, as are observed, got [0.]",
         wrappers=[{"stack": 2}, {**STATISTICS, "variance": [1.0]}],
     ),
     damaged(
-        "model.zip cannot be played as env.json or --env describe: ValueError: Pixels must be at most 100,000,000 in "
-        "all pictures, got Pixels(size=(4096, 4096), stack=4095)",
+        "model.zip cannot be played as env.json describes and options change: ValueError: Pixels must be at "
+        "most 100,000,000 in all pictures, got Pixels(size=(4096, 4096), stack=4095)",
         env={"observation": "pixels-4096x4096x4095"},
     ),
     Refusal(
@@ -302,42 +301,13 @@ MODELS = [
         files({}),
     ),
     misfit(
-        lambda: native(action="landing"),
-        "Note: no env.json beside model.zip describes it, so it chooses a torque in every control "
-        "step (--env)\nmodel.zip cannot be played as env.json or --env describe: ValueError: it has "
-        "observations (10,) and Box(-1.0, 1.0, (2,), float32), got (10,) and Box(-1.0, 1.0, (1,), "
-        "float32): use --env observation=..., --env action=... and --env action_repeat=... as in its "
-        "training",
-    ),
-    misfit(
-        native,
-        "model.zip cannot be played as env.json or --env describe: ValueError: it has observations "
-        "(10,) and Box(-1.0, 1.0, (1,), float32), got (10,) and Box(-1.0, 1.0, (2,), float32): use "
-        "--env observation=..., --env action=... and --env action_repeat=... as in its training",
-        "--env",
+        "model.zip is no model of env.json beside it: ValueError: Action spaces do not match: "
+        "Box(-1.0, 1.0, (1,), float32) != Box(-1.0, 1.0, (2,), float32)",
         "action=landing",
     ),
     misfit(
-        lambda: VecFrameStack(native(), 3),
-        "Note: no env.json beside model.zip describes it, so it chooses a torque in every control "
-        "step (--env)\nmodel.zip cannot be played as env.json or --env describe: ValueError: it has "
-        "observations (30,) and Box(-1.0, 1.0, (1,), float32), got (10,) and Box(-1.0, 1.0, (1,), "
-        "float32): if VecFrameStack stacked them, save it by jackbox_env.sb3.save_model; else use "
-        "--env observati",
-    ),
-    misfit(
-        lambda: VecNormalize(native()),
-        "model.zip was trained under VecNormalize, whose statistics are missing: use --vecnormalize "
-        "FILE.pkl, or save it by jackbox_env.sb3.save_model",
-        "--env",
-        "action_repeat=2",
-    ),
-    misfit(native, "model.zip has no statistics of VecNormalize: UnpicklingError: ...", "--vecnormalize", "model.zip"),
-    misfit(
-        native,
-        "model.zip cannot be played as env.json or --env describe: ValueError: action_repeat must be "
+        "model.zip cannot be played as env.json describes and options change: ValueError: action_repeat must be "
         "a whole number from 1 to 1000000, got 0",
-        "--env",
         "action_repeat=0",
     ),
 ]

@@ -69,10 +69,6 @@ COMMANDS = [
         "--env action_repeat is for model files and functions, got level",
     ),
     refused(
-        evaluates("--policy", "level", "--vecnormalize", "s.pkl"),
-        "--vecnormalize is for model files and functions, got level",
-    ),
-    refused(
         evaluates("--policy", "level", "--env", "max_episode_steps=-1"),
         "episodes must have one number of control steps, got inf to inf with max_episode_steps -1: "
         "use --env episode_steps=500",
@@ -87,11 +83,6 @@ COMMANDS = [
     refused(
         evaluates("--policy", "level", "--env", "task=nowhere.py:mine"),
         "nowhere.py:mine cannot be imported: FileNotFoundError: [Errno 2] No such file or directory: 'nowhere.py'",
-    ),
-    refused(
-        evaluates("--policy", "empty.zip", "--trust"),
-        "empty.zip is no model of Stable-Baselines3: ...",
-        {"empty.zip": ""},
     ),
     refused(
         evaluates("--jack-mass", "5", "--scene", '{"jack_mass": 4}'),

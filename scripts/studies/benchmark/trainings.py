@@ -20,7 +20,6 @@ import gymnasium as gym
 import torch
 
 from agents.evaluation.returns import evaluate
-from agents.files import read_json
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PLAIN, PolicyWithEnv, StatelessPolicy
@@ -33,6 +32,7 @@ from agents.training.networks import run_of
 from agents.training.ppo import trained_in
 from jackbox_env import Observation
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import read_json
 from scripts.recipes.with_sb3 import train
 
 SEED = 1  # decides the starts of policies, and of the trainings on each fidelity

@@ -16,7 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from agents.files import as_value_error
+from jackbox_env.tools import checks as check
+from jackbox_env.tools.reading import as_value_error, read_json
 
 
 class _Loaded(NamedTuple):
@@ -24,6 +25,8 @@ class _Loaded(NamedTuple):
     text: str  # of its file; empty: of an importable module
 
 
+CODE = "code.json"  # of a folder: the texts of files, by path
+_NAMED = ("task", "observation", "action", "scene", "randomize")  # keywords of an environment that may name objects
 _loaded = dict[str, _Loaded]()  # by the absolute path of the file, or the module's name
 
 
@@ -71,6 +74,30 @@ def loaded(name: str) -> Any:
         raise ValueError(f"{name} is code, which runs only with --trust")
     with as_value_error(f"{name} cannot be imported"):
         return getattr(_loaded[_key(source)].module, attribute)
+
+
+def load_trusted(folder: Path, names: Iterable[str], trust: bool) -> None:
+    """Load objects that a folder of somebody names, with the texts in its code.json.
+
+    Raises:
+        ValueError: code would run that is neither trusted nor loaded, or cannot.
+    """
+    names = list(names)
+    if not (trust or all(map(is_loaded, names))):
+        raise ValueError(f"{folder} runs code ({check.shown(names[0])}): if you trust its author, use --trust")
+    with as_value_error(f"{folder} cannot be used"):
+        texts = read_json(folder / CODE) if names and (folder / CODE).is_file() else {}
+        load(names, {str(path): str(text) for path, text in dict(texts).items()})
+
+
+def with_objects(keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of an environment with objects in place of ``module:name`` and ``file.py:name``.
+
+    Raises:
+        ValueError: one is not loaded (:func:`load`).
+    """
+    named = [name for name in _NAMED if is_object(keywords.get(name))]
+    return {**keywords, **{name: loaded(keywords[name]) for name in named}}
 
 
 def texts_of(names: Iterable[str]) -> dict[str, str]:

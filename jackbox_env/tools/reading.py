@@ -1,8 +1,4 @@
-"""Reading files that may be damaged, and locking folders; for runs, policies and sweeps.
-
-A folder is locked by a system lock on its file ``lock`` (filelock), which ends with its process, however that ends.
-:mod:`jackbox_env.tools.files` writes files.
-"""
+"""Reading files that may be damaged, or by somebody who is not trusted. :mod:`.files` writes files."""
 
 from __future__ import annotations
 
@@ -18,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LOCK = "lock"
-
 # Weights do not compress, and Stable-Baselines3 and torch store them as they are.
 _MOST_INFLATION = 4  # times the size of the file
 _TEXT_ALLOWANCE = 2**20  # [bytes] beyond that, for members that are text
@@ -28,10 +22,6 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may need gigabyt
 
 class DamagedFileError(ValueError):
     """A file that is cut short, overwritten, or of another format."""
-
-
-class FolderInUseError(RuntimeError):
-    """Another process uses the folder."""
 
 
 @contextmanager
@@ -120,24 +110,3 @@ def unpacked_arrays(content: bytes, name: str) -> dict[str, NDArray[Any]]:
 def report_skipped(error: DamagedFileError) -> None:
     """Print on standard error that a damaged file was skipped."""
     print(f"Skipped: {error}", file=sys.stderr)
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against every other process, and against a second use within this one.
-
-    Raises:
-        FolderInUseError: another process has locked it.
-        OSError: its lock is a link, or cannot be opened.
-    """
-    from filelock import FileLock, Timeout  # of the extra train, which shipped networks do not need
-
-    lock = FileLock(folder / LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise FolderInUseError(f"{folder} is in use by another process: wait until it ends, or end it") from error
-    try:
-        yield
-    finally:
-        lock.release()
