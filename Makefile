@@ -8,6 +8,9 @@ PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 OLD_GYMNASIUM := .venv/gymnasium-1.2.2
+# Every text file is opened with its encoding; command_line.py opens only the null device.
+ENCODINGS := $(BIN)/ruff check --preview --select PLW1514 --per-file-ignores jackbox_env/tools/command_line.py:PLW1514 \
+	jackbox_env agents scripts
 # One thread each: two workers on two cores would wait for each other's.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder
@@ -38,6 +41,7 @@ demo: .venv/usable
 # The compiled code is made once, before the workers start (tests/conftest.py).
 test: .venv/ready
 	$(BIN)/ruff check .
+	$(ENCODINGS)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	EXPECTED_GYMNASIUM=1.4.0 $(PYTEST) $(WORKERS) $(SELECTED)
@@ -151,9 +155,9 @@ ranges: .venv/ready
 dataset: .venv/ready
 	@OMP_NUM_THREADS=1 $(BIN)/python scripts/dataset.py
 
-# Words of README and of the pages in docs/, tables and code included.
+# Words of README, changelog and pages, tables and code included.
 words:
-	@cat README.md docs/*.md | wc -w
+	@cat README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/*/*.md | wc -w
 
 readme: .venv/ready
 	@$(BIN)/python scripts/studies/readme.py

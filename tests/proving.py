@@ -41,7 +41,7 @@ from scripts.studies.pages import fill, table
 from tests.invariants.cases import draw_case
 from tests.proof import EVERY_PAIR, FreeFlight, Proof, Turn, prove
 from tests.proof import Impact as ProvenImpact
-from tests.states import inside, several_contacts
+from tests.states import inside, several_contacts, started
 
 PAGE = Path(__file__).parents[1] / "docs" / "trust.md"
 EPS = sys.float_info.epsilon
@@ -65,8 +65,7 @@ class Case(NamedTuple):
 
 def played(scene: Scene, state: Array, time: float, dt: float, torques: list[float | None]) -> Iterator[Case]:
     """Each step of a float64 trajectory."""
-    run = make_simulator(scene, contact="exact")
-    run.reset(state, time)
+    run = started(make_simulator(scene, contact="exact"), state, time)
     for torque in torques:
         yield Case(scene, run.state, run.time, dt, [torque])
         try:
@@ -208,8 +207,7 @@ class Computed(NamedTuple):
 
 def simulated(case: Case) -> Computed:
     """A case by the exact model."""
-    run, impacts = make_simulator(case.scene, contact="exact"), list[Impact]()
-    run.reset(case.state, case.time)
+    run, impacts = started(make_simulator(case.scene, contact="exact"), case.state, case.time), list[Impact]()
     for torque in case.torques:
         run.step(case.dt, torque)
         impacts += run.impacts

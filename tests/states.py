@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.mechanics import gap_jacobian, gaps
 from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import STATE_NAMES
 
 DATA = Path(__file__).parent / "data"
 Array = NDArray[np.float64]
 WEIGHTLESS = Scene(gravity=0.0, drive=None)
+T = TypeVar("T")
 FLAT = 6.0 - math.sqrt(0.5)  # of the jack's centre from a wall that carries two of its feet [m]
 
 
@@ -23,6 +25,17 @@ def load(name: str) -> list[dict[str, Any]]:
     """Read a data file: facts computed independently, trajectories with 60 digits."""
     records: list[dict[str, Any]] = json.loads((DATA / f"{name}.json").read_text())
     return records
+
+
+def started(one: T, *start: Any, **options: Any) -> T:
+    """An environment, a simulator or another thing that has ``reset``, after it."""
+    cast(Any, one).reset(*start, **options)
+    return one
+
+
+def at(**values: float) -> Array:
+    """A state of zeros but for these."""
+    return np.array([values.get(name, 0.0) for name in STATE_NAMES])
 
 
 def inside(scene: Scene, rng: np.random.Generator, speed: float = 5.0) -> Array:

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env import __version__
-from jackbox_env.exact.pcg64 import WHOLE, unpacked
+from jackbox_env.exact.pcg64 import WHOLE, generator_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
@@ -228,7 +228,7 @@ def _start(scene: Scene, values: Any) -> Array:
     if not len(words) == WHOLE == len(values) or max(words) > _WORD or words[-1] % 2 == 0:
         expected = "12 numbers, or 4 words of a generator, each below 2^64 and the last one odd"
         raise ValueError(f"start must be a list of {expected}, got {check.shown(values)}")
-    return as_start(scene, sample_start(scene, unpacked(np.array(words, np.uint64))))
+    return as_start(scene, sample_start(scene, generator_of(np.array(words, np.uint64))))
 
 
 def _with_steps(game: Game, values: Mapping[str, Any]) -> Game:

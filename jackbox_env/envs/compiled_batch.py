@@ -2,37 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
+from jackbox_env.envs.batch import Change, Limits, Outcome, Starts
+from jackbox_env.envs.repeated_step import RepeatedStep, bad_numbers
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
-from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, packed, seeded, unpacked
+from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, generator_of, seeded, words_of
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
-from jackbox_env.exact.workspace import SHARES, Call, Results, Rules, Scenes, Status, new_memory
+from jackbox_env.exact.workspace import Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
 from jackbox_env.jit.compiler import address_of, compiled
-from jackbox_env.model.action import ACTIONS, Repeat, clipped_share
-from jackbox_env.model.observation import STATE, bad_observation
-from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.action import ACTIONS, Repeat
+from jackbox_env.model.observation import STATE
+from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
-from jackbox_env.model.tasks import TaskError, draw_start
+from jackbox_env.model.tasks import draw_start
 from jackbox_env.render.raster import Past
-from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
-from jackbox_env.simulators.base import Impact, StepResult, end_of_step
-from jackbox_env.simulators.exact import ExactSimulator, ensure_compiled, failure, pieces_for
+from jackbox_env.simulators.base import Impact
+from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.simulators.plain_functions import Nouns
 from jackbox_env.simulators.users_functions import compiled_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
 _AHEAD = 100  # control steps for which drives are read at first: those of the longest bounce by default
-_NO_ACTIONS: Array = np.zeros((0, 0))
 
 
 class Present(NamedTuple):
@@ -79,7 +78,7 @@ class ExactBatch:
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
         self._count, self._width = num_envs, min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
-        blocks = np.zeros((-(-num_envs // self._width), workspace.WIDTH, self._width))
+        blocks = np.zeros((-(-num_envs // self._width), workspace.HEIGHT, self._width))
         several = len(scenes) > 1 or randomize is not None
         past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
@@ -99,12 +98,11 @@ class ExactBatch:
         observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
-        self._kind = SHARES if plain else workspace.ACTIONS
         self._rules = Rules(
             self._dt,
             steps=self._repeat.steps,
             longest=self._limits.steps,
-            kind=self._kind,
+            controls=workspace.CONTROL_SHARES if plain else workspace.CONTROL_ACTIONS,
             max_contact_steps=self._repeat.max_contact_steps,
             decisions=self._limits.decisions,
             score=address_of(scorer, score.block_scorer),
@@ -121,14 +119,9 @@ class ExactBatch:
         self._compile()
 
     @property
-    def nbytes(self) -> int:
-        """Bytes of the arrays that grow with the environments."""
-        return 3 * self._present.blocks.nbytes + self._generators.nbytes
-
-    @property
     def states(self) -> Array:
         """A copy of all states, shape (N, 12)."""
-        return _states(self._present.blocks, self._count)
+        return states_of(self._present.blocks, self._count)
 
     @property
     def times(self) -> Array:
@@ -142,7 +135,7 @@ class ExactBatch:
 
     def _column(self, row: int) -> Array:
         """A copy of one row of the blocks, shape (N,)."""
-        return _column(self._present.blocks, row, self._count)
+        return column_of(self._present.blocks, row, self._count)
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -179,15 +172,13 @@ class ExactBatch:
             return Starts(numbers, words, rows)
         scenes, states = list[Scene](), list[Array]()
         for index, number in enumerate(numbers.tolist()):
-            generator, scene = unpacked(words[index]), table.scene(number)
+            generator, scene = generator_of(words[index]), table.scene(number)
             if changes is not None or drawn is not None:
-                original = table.original_of(number)
-                fields = {} if drawn is None else drawn.draw(original, generator)
-                scene = original.changed(**{**fields, **(changes[index] if changes else {})})
+                scene = next_scene(table.original_of(number), drawn, generator, changes[index] if changes else {})
                 scenes.append(scene)
             if starting:
                 states.append(draw_start(self._nouns.task, scene, generator))
-            words[index] = packed(generator)[: words.shape[1]]
+            words[index] = words_of(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
@@ -209,15 +200,15 @@ class ExactBatch:
                 table = table.spread_out(blocks.shape)
         else:
             rows = scenes
+        block, lane = np.divmod(numbers, self._width)
         if states is None:
             compiled(pcg64.restart_blocks)(rows, blocks, numbers, words)
-        if not (states is None and times is None):
-            block, lane = np.divmod(numbers, self._width)
-            if states is not None:
-                blocks[block, :, lane] = 0.0
-                blocks[block, :12, lane] = states
-            blocks[block, workspace.TIME, lane] = 0.0 if times is None else times
-        past = past and past.begun(numbers, _states(blocks, self._count))
+        else:
+            blocks[block, :, lane] = 0.0
+            blocks[block, :12, lane] = states
+        if times is not None:
+            blocks[block, workspace.TIME, lane] = times
+        past = past and past.begun(numbers, states_of(blocks, self._count))
         self._observe(rows, blocks, numbers, observations, past)
         return after._replace(scenes=table, starts=starts, past=past)
 
@@ -274,11 +265,7 @@ class ExactBatch:
             return
         bad = compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations)
         if bad >= 0:
-            raise self._bad_observation(observations[bad], bad)
-
-    def _bad_observation(self, observation: Floats, number: int) -> TaskError:
-        error = bad_observation(self._nouns.observation, observation.tolist())
-        return TaskError(f"{error}, in environment {number}")
+            raise bad_numbers(self._nouns.observation, observations, bad)
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene, by the name of its field, shape (N,)."""
@@ -294,30 +281,20 @@ class ExactBatch:
         """
         if self._present.last is None:
             return []
-        blocks, (before, actions) = self._present.blocks, self._present.last
         block, lane = divmod(number, self._width)
-        steps = int(blocks[block, workspace.STEPS, lane] - before[block, workspace.STEPS, lane])
-        if steps < 1:  # it has restarted, possibly in another scene, or it waits
+        row, repeated = self._present.blocks[block, :, lane], self._repeated(number, *self._present.last)
+        count = int(row[workspace.STEPS] - repeated.row[workspace.STEPS])
+        if count < 1:  # it has restarted, possibly in another scene, or it waits
             return []
-        impacts = list[Impact]()
-        for step in islice(self._again(number, before, actions), steps):
-            impacts += step.impacts
-        return impacts if np.array_equal(step.state, blocks[block, :12, lane]) else []
+        steps = list(islice(repeated.steps(), count))
+        same = np.array_equal(steps[-1].state, row[:12])
+        return [impact for step in steps for impact in step.impacts] if same else []
 
-    def _again(self, number: int, before: Array, actions: Array | None) -> Iterator[StepResult]:
-        """The results of one environment's control steps from ``before`` under ``actions``."""
+    def _repeated(self, number: int, before: Array, actions: Array | None) -> RepeatedStep:
+        """A step of one environment from the blocks ``before`` under ``actions``, to be repeated."""
         block, lane = divmod(number, self._width)
-        scene, dt = self.scene(number), self._dt
-        simulator, torque = ExactSimulator(scene), None
-        simulator.reset(before[block, :12, lane], float(before[block, workspace.TIME, lane]))
-        functions = CompiledFunctions(scene, self._nouns)
-        while True:
-            if actions is not None:
-                share = float(actions[0, number])
-                if self._kind != SHARES:
-                    share = functions.share(simulator.state, actions[:, number], simulator.time, dt)
-                torque = clipped_share(share, f", in environment {number}") * scene.torque_limit
-            yield simulator.step(dt, torque)
+        controls = None if actions is None else actions[:, number]
+        return RepeatedStep(number, self.scene(number), self._nouns, self._dt, before[block, :, lane], controls)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -331,7 +308,7 @@ class ExactBatch:
         scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
         present = self._present.blocks
         before, spare = present.copy() if steps > 1 else present, self._taken()  # several steps overwrite it
-        calls = self._prepared(scenes, before, spare, _NO_ACTIONS if actions is None else actions, filled)
+        calls = self._prepared(scenes, before, spare, np.zeros((0, 0)) if actions is None else actions, filled)
 
         # Threads that a second interruption left at work keep alive what the loop calls by its address.
         def work(thread: int, low: int, high: int, _called: Any = self._compiled) -> Ended:
@@ -350,7 +327,7 @@ class ExactBatch:
             made, number, ended = min(failures)
             if ended == Status.NO_DRIVE and made >= ahead:
                 return self.prepare_step(actions, 10 * ahead)
-            raise self._failure(ended, number, actions, made, filled.observations)
+            raise self._repeated(number, present, actions).failure(ended, made, filled.observations)
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         return self._outcome(filled, finished, after, actions)
 
@@ -385,7 +362,7 @@ class ExactBatch:
         """The outcome of a step under ``actions``, which ends with the blocks ``after``."""
         made: Array | float = 1.0
         if self._repeat.steps > 1:
-            made = _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS)
+            made = column_of(after, workspace.STEPS, self._count) - self._column(workspace.STEPS)
         durations = np.empty(self._count)
         durations[:] = made * self._dt  # faster than np.full
         infos = self._infos(after, filled.reports, made, durations) if self._with_infos else {"duration": durations}
@@ -393,8 +370,8 @@ class ExactBatch:
         observations, scenes, past = filled.observations, self._present.scenes, self._present.past
         if past is not None:
             observations, everyone = self._nouns.unfilled(self._count), np.arange(self._count)
-            last = filled.trajectories if self._repeat.steps > 1 else _states(after, self._count)[:, None]
-            past = past.after(last, _column(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
+            last = filled.trajectories if self._repeat.steps > 1 else states_of(after, self._count)[:, None]
+            past = past.after(last, column_of(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
             past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
             observations, rewards, filled.terminations, filled.truncations, infos, finished,
@@ -411,52 +388,11 @@ class ExactBatch:
 
     def _infos(self, after: Array, reports: Array, made: Array | float, durations: Array) -> dict[str, NDArray[Any]]:
         return {
-            "state": _states(after, self._count),
-            "time": _column(after, workspace.TIME, self._count),
+            "state": states_of(after, self._count),
+            "time": column_of(after, workspace.TIME, self._count),
             "torque": reports[:, score.REPORTED_TORQUE] / np.maximum(made, 1.0),
             "impacts": reports[:, score.REPORTED_HITS].astype(np.int64),
             "impulse": reports[:, score.REPORTED_IMPULSE].copy(),
             "duration": durations,
             **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._nouns.task.terms)},
         }
-
-    def _failure(self, ended: int, number: int, actions: Array | None, made: int, observations: Floats) -> Exception:
-        if ended == Status.BAD_ACTION and actions is not None:
-            return bad_action(float(actions[0, number]), number)
-        if ended == Status.BAD_REWARD:
-            step = next(islice(self._again(number, self._present.blocks, actions), made, None))
-            return bad_reward(self._nouns.task, self.scene(number), step, f"environment {number}")
-        if ended == Status.BAD_OBSERVATION:
-            return self._bad_observation(observations[number], number)
-        time = float(np.add.accumulate([self.times[number], *[self._dt] * made])[-1])
-        try:  # the failed call raises again
-            if ended == Status.BAD_TORQUE:
-                next(islice(self._again(number, self._present.blocks, actions), made, None))
-            if ended == Status.TOO_LATE:
-                end_of_step(time, self._dt)
-            if ended == Status.NO_DRIVE:
-                pieces_for(self.scene(number).drive, time, self._dt, None if actions is None else 0.0)
-        except Exception as error:
-            return error
-        if ended == Status.NO_DRIVE:
-            return RuntimeError(
-                f"the drive of environment {number} failed at t = {time:g} s, but not when it was called again"
-            )
-        return failure(ended, self.scene(number), time, self._dt, f"the jack of environment {number}")
-
-    def render(self) -> tuple[Any, ...]:
-        """Nothing: environments that render are stepped one by one, see ``one_by_one.py``."""
-        return ()
-
-    def close(self) -> None:
-        """Release nothing."""
-
-
-def _column(blocks: Array, row: int, count: int) -> Array:
-    """A copy of one row of blocks, shape (N,)."""
-    return blocks[:, row].reshape(-1)[:count].copy()
-
-
-def _states(blocks: Array, count: int) -> Array:
-    """A copy of the states in blocks, shape (N, 12)."""
-    return blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[:count]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.envs.batch import Outcome
-from jackbox_env.model.states import Array, Flags
+from jackbox_env.model.states import Flags
 
 Infos = dict[str, Any]
 
@@ -49,11 +49,11 @@ def blank(terms: Sequence[str] | None, count: int) -> Infos:
     return {"state": np.zeros((count, 12)), **numbers, "impacts": np.zeros(count, dtype=np.int64)}
 
 
-def infos_at_start(terms: Sequence[str], states: Array, times: Array, chosen: Flags) -> Infos:
-    """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
+def infos_at_start(terms: Sequence[str] | None, batch: Any, chosen: Flags) -> Infos:
+    """Infos, without masks, of the ``chosen`` environments of a batch at the start of an episode."""
     infos = blank(terms, len(chosen))
-    infos["state"] = np.where(chosen[:, None], states, 0.0)
-    infos["time"] = np.where(chosen, times, 0.0)
+    if terms is not None:
+        infos["state"][chosen], infos["time"][chosen] = batch.states[chosen], batch.times[chosen]
     return infos
 
 

@@ -13,7 +13,7 @@ from gymnasium.utils.seeding import np_random
 from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
 from jackbox_env.envs.infos import blank
 from jackbox_env.envs.single import JackInBoxEnv, Snapshot
-from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Counts, Flags, Floats, Indices
 from jackbox_env.model.tasks import TaskError, draw_start
@@ -113,8 +113,8 @@ class SingleBatch:
             seed = seeds[index] if seeds else None
             generators.append(copy.deepcopy(self._present.generators[number]) if seed is None else np_random(seed)[0])
             if self._randomize or changes is not None:
-                drawn = self._randomize.draw(self._originals[number], generators[-1]) if self._randomize else {}
-                scenes.append(self._originals[number].changed(**{**drawn, **(changes[index] if changes else {})}))
+                change = changes[index] if changes else {}
+                scenes.append(next_scene(self._originals[number], self._randomize, generators[-1], change))
                 self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
                 scene = scenes[-1] if scenes else self.scene(number)

@@ -13,8 +13,7 @@ from jackbox_env.exact.workspace import SCENE_PARAMS, Scenes
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
 from jackbox_env.model.states import Array, Counts, Flags
-from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import NO_PIECES, NO_TABLE, WITH_PIECES, drive_kind, joined, pieces_for
+from jackbox_env.simulators.exact import NO_PIECES, WITH_PIECES, cut, drive_kind
 
 AnyDrive = Chirp | Drive | None
 
@@ -104,8 +103,7 @@ class SceneTable:
     def of_steps(self, torque: int, times: Array, steps: Counts, ahead: int) -> Scenes:
         """The scenes with the pieces of drives of functions, cut once for each drive, time and number of steps.
 
-        A drive has no pieces from ``ahead`` steps on, nor over a later step that it fails over: the environment may not
-        reach it.
+        A drive has no pieces from ``ahead`` steps on, nor over a later step that it fails over.
 
         Args:
             torque: 1 if torques are held, 0 if the drives act.
@@ -116,16 +114,8 @@ class SceneTable:
         Raises:
             Exception: a drive fails over a first step.
         """
-        tables, cut, begins = list[Array](), dict[tuple[int, float, int], int](), np.zeros(self.count, np.int64)
-        for number in np.flatnonzero(np.isin(self.kinds[torque], WITH_PIECES) & (steps > 0)).tolist():
-            drive, time, most = self.drives[number if self.several else 0], float(times[number]), int(steps[number])
-            begin = cut.setdefault((id(drive), time, most), len(tables))
-            if begin == len(tables):
-                end_of_step(time, self.dt)
-                # A torque of 0.0 stands for any that is held.
-                tables += [*_pieces_ahead(drive, time, self.dt, min(most, ahead), 0.0 if torque else None), NO_TABLE]
-            begins[number] = begin
-        return Scenes(self.values, self.scene_params, self.kinds[torque], *joined(tables, begins))
+        pieces = cut(self.drives, self.kinds[torque], times, steps, self.dt, 0.0 if torque else None, ahead)
+        return Scenes(self.values, self.scene_params, self.kinds[torque], *pieces)
 
     def put(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
         """Set the scenes of some environments, or the one of all. Rows have their numbers; they leave the drives."""
@@ -164,20 +154,3 @@ class SceneTable:
         follows = original.changed(**{name: value for name, value in changed.items() if name not in original.derived})
         inertias = {name: numbers[name] for name in original.derived if numbers[name] != getattr(follows, name)}
         return follows.changed(**inertias) if inertias else follows
-
-
-def _pieces_ahead(drive: AnyDrive, time: float, dt: float, steps: int, torque: float | None) -> list[Array]:
-    """The pieces of a drive over each of several steps; none from a step on that fails, after the first.
-
-    Raises:
-        Exception: the drive fails over the first step.
-    """
-    tables = list[Array]()
-    for start in np.add.accumulate([time, *[dt] * (steps - 1)]).tolist():
-        try:
-            tables.append(pieces_for(drive, start, dt, torque))
-        except Exception:
-            if not tables:
-                raise
-            break
-    return tables + [NO_TABLE] * (steps - len(tables))

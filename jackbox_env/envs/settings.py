@@ -20,7 +20,7 @@ _INSTEAD = {
 }  # fmt: skip
 
 
-class Setting:
+class ReadOnly:
     """A read-only attribute: the argument of this name, or of another name, that an environment was made with."""
 
     def __init__(self, argument: str = "") -> None:
@@ -40,10 +40,10 @@ class Settings:
     """Base of environments: assigning a setting, the scene or the state raises AttributeError, with the remedy."""
 
     _settings: Mapping[str, Any]  # the arguments by name
-    contact, substeps, fidelity, task, control_dt = Setting(), Setting(), Setting(), Setting(), Setting()
-    torque, torque_source, randomize = Setting(), Setting("torque"), Setting()
-    action, action_repeat, episode_steps, max_episode_steps = Setting(), Setting(), Setting(), Setting()
-    render_mode, render_size, render_overlay = Setting(), Setting(), Setting()
+    contact, substeps, fidelity, task, control_dt = ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly()
+    torque, torque_source, randomize = ReadOnly(), ReadOnly("torque"), ReadOnly()
+    action, action_repeat, episode_steps, max_episode_steps = ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly()
+    render_mode, render_size, render_overlay = ReadOnly(), ReadOnly(), ReadOnly()
 
     _spec: EnvSpec | None = None
 

@@ -38,7 +38,7 @@ from jackbox_env.model.action import (
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.observation import Observation, seen_of
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import Randomization
+from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.render.raster import Past
@@ -128,7 +128,6 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in nouns.task.terms]
-        self._drawn = self._randomize.names if self._randomize else []  # fields of the scene, in info
         self.observation_space = nouns.space
         self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
@@ -233,10 +232,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         """The scene of the next episode."""
         if changes is not None and not isinstance(changes, Mapping):
             raise TypeError(f"options['scene'] must be a dict of the scene's fields, got {check.shown(changes)}")
-        if self._randomize is None:
-            return self.scene if changes is None else self._first_scene.changed(**changes)
-        drawn = self._randomize.draw(self._first_scene, generator)
-        return self._first_scene.changed(**{**drawn, **(changes or {})})
+        if self._randomize is None and changes is None:
+            return self.scene
+        return next_scene(self._first_scene, self._randomize, generator, changes or {})
 
     def _place(self, parts: tuple[Simulator, Functions], state: ArrayLike, time: float, steps: int = 0) -> None:
         """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
@@ -403,8 +401,8 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         }  # fmt: skip
         for name, value in zip(self._terms, terms):  # noqa: B905  # strict=True takes half as long as the physics
             info[name] = value
-        if self._drawn:
-            info["scene"] = {name: getattr(self.scene, name) for name in self._drawn}
+        if self._randomize is not None and (names := self._randomize.names):
+            info["scene"] = {name: getattr(self.scene, name) for name in names}
         return info
 
     def _pictures(self, past: Past) -> Seen:

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
 from jackbox_env.envs.batch import Limits
-from jackbox_env.envs.infos import Infos, NoInfos, blank, infos_at_end, infos_at_start, masked
-from jackbox_env.envs.settings import Setting, Settings
+from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
+from jackbox_env.envs.one_by_one import SingleBatch
+from jackbox_env.envs.settings import ReadOnly, Settings
 from jackbox_env.envs.single import JackInBoxEnv, Randomize
 from jackbox_env.model.action import EPISODE_STEPS, Action, Repeats, decisions_of
 from jackbox_env.model.observation import Observation
@@ -35,7 +36,6 @@ from jackbox_env.tools.one_thread import ThreadNote, by_one_thread
 
 if TYPE_CHECKING:
     from jackbox_env.envs.compiled_batch import ExactBatch
-    from jackbox_env.envs.one_by_one import SingleBatch
 
 _MOST_ENVS = 1_000_000_000
 _alone = by_one_thread("a vector environment")
@@ -64,23 +64,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: of the exact model; None: those of the machine, fewer for a small batch. Results do not change.
         with_infos: return the single environment's info, as arrays.
         render_mode: None or "rgb_array"; "human" for one environment.
-        contact, substeps: in place of a fidelity. From here on, the arguments of the single environment.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
-        task: the name of one, or a :class:`Task`.
-        control_dt: duration of a control step [s].
-        torque: "agent": the actions are torques; "chirp": the scene's drive acts, and actions are ignored.
-        fidelity: "coarse", "balanced", "fine" or "exact"; None: "balanced".
-        randomize: fields of the scenes that each environment draws at each reset.
-        render_size: width and height of each environment's frame [pixels].
-        render_overlay: False: frames show box, jack and ruled lines alone.
-        observation: the name of one, an :class:`Observation`, or :class:`Pixels`.
-        action: the name of one, or an :class:`Action`.
-        action_repeat: control steps of an action, or "bounce"; then the environments' times differ.
-        episode_steps: control steps of an episode, counted across decisions; None: no limit.
+
+    The other arguments are those of :class:`JackInBoxEnv`. With ``action_repeat="bounce"`` the environments' times
+    differ.
 
     Returned arrays are never written again. Ctrl-C in ``step``, ``reset`` or ``set_states`` leaves all environments as
-    they were, or all as the whole call leaves them. While a thread is in
-    ``step``, ``reset``, ``set_states``, ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
+    they were, or all as the whole call leaves them. While a thread is in ``step``, ``reset``, ``set_states``,
+    ``impacts``, ``observations`` or ``render``, they raise RuntimeError in others.
 
     Raises:
         TypeError, ValueError: an argument out of its range.
@@ -91,9 +82,9 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         **JackInBoxEnv.metadata, "render_modes": ["human", "rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }  # fmt: skip
 
-    observation, num_envs = Setting(), Setting()
-    autoreset_mode = Setting()  # TorchRL reads it here, Gymnasium in the metadata
-    num_threads, with_infos = Setting(), Setting()
+    observation, num_envs = ReadOnly(), ReadOnly()
+    autoreset_mode = ReadOnly()  # TorchRL reads it here, Gymnasium in the metadata
+    num_threads, with_infos = ReadOnly(), ReadOnly()
 
     @check.refuse_unknown("the vector environment of JackInBox-v0", {}, FURTHER)
     def __init__(
@@ -136,8 +127,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "observation": observation, "action": action, "action_repeat": action_repeat,
             "episode_steps": episode_steps,
         }  # fmt: skip
-        shown = render_mode if num_envs == 1 else None
-        single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=shown)  # checks them all
+        single = JackInBoxEnv(scene=scenes[0], **settings, render_mode=render_mode if num_envs == 1 else None)
         single.close()
         decisions = decisions_of(single.episode_steps, action_repeat, max_episode_steps)
         drawn = None if randomize is None else Randomization(randomize, scenes, single.simulator_of)
@@ -149,7 +139,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "num_threads": num_threads, "with_infos": with_infos,
         }  # fmt: skip
         self._nouns, self._driven = single.nouns, torque == "chirp"
-        self._terms = single.nouns.task.terms if self._with_infos else None
+        self._terms = single.nouns.task.terms if self._with_infos else None  # in infos
         shorter = (max_episode_steps and decisions) or math.inf
         limits = Limits.of(single.repeat, shorter, single.episode_steps or math.inf)
         self.metadata = {
@@ -167,13 +157,11 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
                 num_threads, drawn,
             )  # fmt: skip
         else:
-            from jackbox_env.envs.one_by_one import SingleBatch
-
             self._batch = SingleBatch(
                 scenes, num_envs, limits, self._with_infos, drawn, render_mode=render_mode, **settings
             )
         self._inside, self._randomize = ThreadNote(), drawn
-        self._seeds = [-1] * num_envs  # -1 where none was given
+        self._seeds = dict[int, int]()  # of the environments that one was given
         self._started = np.zeros(num_envs, dtype=np.bool_)  # which have been reset
         self._ready, self._waiting = False, False  # whether all have been reset, and an episode may be over
         self.changes = 0  # steps and resets so far
@@ -222,7 +210,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._observed(np.arange(self.num_envs))
 
     def _observed(self, numbers: Indices) -> Floats:
-        """The observations of some environments in their rows."""
         observations = self._nouns.unfilled(self.num_envs)
         self._batch.observe(numbers, observations)
         return observations
@@ -268,7 +255,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The environments' seeds, -1 where none was given."""
-        return tuple(self._seeds)
+        return tuple(self._seeds.get(number, -1) for number in range(self.num_envs))
 
     @_alone
     def reset(
@@ -293,14 +280,12 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             starts = starts._replace(states=placed[numbers])
         observations = self._observed(np.flatnonzero(~plan.chosen))
         after: Any = self._batch.prepare_starts(starts._replace(times=plan.times[numbers]), observations)
-        known = list(self._seeds)
-        for number, new in zip(numbers.tolist(), seeds, strict=True):
-            known[number] = known[number] if new is None else new
+        new = {number: seed for number, seed in zip(numbers.tolist(), seeds, strict=True) if seed is not None}
         self.changes += 1
         self._batch.commit(after)
-        self._seeds, self._started = known, self._started | plan.chosen
+        self._seeds, self._started = self._seeds | new, self._started | plan.chosen
         self._ready = bool(self._started.all())
-        infos = masked(self._infos_at_start(plan.chosen) | self._drawn(plan.chosen), plan.chosen)
+        infos = masked(infos_at_start(self._terms, self._batch, plan.chosen) | self._drawn(plan.chosen), plan.chosen)
         return observations, infos if self._with_infos else NoInfos(infos)
 
     def check_reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> ResetPlan:
@@ -328,8 +313,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if not (actions is None or self._driven):
             checked = self._arguments.actions(self._nouns.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
-        restarting = waiting
-        outcome = self._batch.prepare_step(checked)
+        outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
             infos |= infos_at_end(outcome, self._drawn(outcome.ended))
             restarting = outcome.ended
@@ -341,7 +325,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self.changes += 1
         self._batch.commit(after)
         if restarting is not None:
-            starting = self._infos_at_start(restarting)
+            starting = infos_at_start(self._terms, self._batch, restarting)
             for name in starting.keys() & outcome.infos.keys():
                 outcome.infos[name][restarting] = starting[name][restarting]
         infos |= masked(outcome.infos | self._drawn(self._started), self._started)
@@ -353,6 +337,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if self.render_mode is None:
             gym.logger.warn('render needs a render_mode, e.g. render_mode="rgb_array": there is no picture')
             return None
+        assert isinstance(self._batch, SingleBatch)
         return self._batch.render()
 
     def tiled(self, first: int = 16, size: tuple[int, int] = (128, 128)) -> NDArray[np.uint8]:
@@ -371,17 +356,14 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return tiled([self.scene_of(number) for number in range(count)], self.states, self.times, size)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of this object.
-
-        Raises:
-            AttributeError: the attribute is a setting, the scene or the states; the message has the remedy.
-        """
+        """Set an attribute of this object; a setting, the scene or the states raise AttributeError with the remedy."""
         setattr(self, name, values)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderers."""
-        if hasattr(self, "_batch"):  # a refused construction is closed too, by older Gymnasiums
-            self._batch.close()
+        batch = getattr(self, "_batch", None)  # a refused construction is closed too, by older Gymnasiums
+        if isinstance(batch, SingleBatch):
+            batch.close()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
@@ -395,12 +377,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             over = f"{int(waiting.sum())} of {self.num_envs} are over"
             raise RuntimeError(f"with autoreset_mode DISABLED, {how}; {over}")
         return waiting
-
-    def _infos_at_start(self, chosen: Flags) -> Infos:
-        """Infos, without masks, of the ``chosen`` environments at the start of an episode."""
-        if self._terms is None:
-            return blank(None, self.num_envs)
-        return infos_at_start(self._terms, self.states, self.times, chosen)
 
     def _drawn(self, chosen: Flags) -> Infos:
         """The present values of the randomized fields of some environments' scenes; empty without any or infos."""

@@ -36,7 +36,7 @@ from jackbox_env.model.states import (
     clearance,
 )
 
-LARGEST = 1e6  # [rad] that one reduction covers
+ONE_REDUCTION = 1e6  # [rad] that one reduction covers
 FARTHEST = 2.0**53  # [rad] that two cover
 _QUARTERS_PER_RADIAN = 6.36619772367581382433e-01  # 2 / pi
 # pi / 2 in parts; multiples of the first two up to 2^20 are exact
@@ -49,7 +49,7 @@ _TURNS_OVER = 2.475922546353431e-18  # [rad] by which that exceeds 29 turns
 
 def cos_sin(angle: float) -> tuple[float, float]:
     """Return the cosine and the sine of ``angle`` [rad]; NaN for an angle that is not finite."""
-    if -LARGEST < angle < LARGEST:
+    if -ONE_REDUCTION < angle < ONE_REDUCTION:
         return cos_sin_within(angle)
     if -FARTHEST < angle < FARTHEST:
         rest = remainder(abs(angle), _TURNS)
@@ -73,7 +73,7 @@ def without_turns(angle: float) -> float:
     if -math.pi <= angle <= math.pi or not -FARTHEST < angle < FARTHEST:
         return angle
     near, over = angle, 0.0
-    if not -LARGEST < angle < LARGEST:
+    if not -ONE_REDUCTION < angle < ONE_REDUCTION:
         near = math.copysign(remainder(abs(angle), _TURNS), angle)
         over = (angle - near) / _TURNS * _TURNS_OVER
     quarters = 4.0 * np.floor(near * (0.25 * _QUARTERS_PER_RADIAN) + 0.5)
@@ -81,7 +81,7 @@ def without_turns(angle: float) -> float:
 
 
 def cos_sin_within(angle: float) -> tuple[float, float]:
-    """Like :func:`cos_sin` for +-``LARGEST``, without a branch, so that a compiled loop is vectorized."""
+    """Like :func:`cos_sin` for +-``ONE_REDUCTION``, without a branch, so that a compiled loop is vectorized."""
     quarters = np.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
     reduced = angle - quarters * _QUARTER_HIGH
     middle = quarters * _QUARTER_MIDDLE

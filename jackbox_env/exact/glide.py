@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from jackbox_env.exact.bounds import centre_curvature_of, clearance_of_all, farthest, foot_curvature_of
 from jackbox_env.exact.flight import DEGREE, TURN, chirp_piece, chirp_pieces, fallen, horner, moved, stays_clear, turned
-from jackbox_env.exact.geometry import LARGEST, cos_sin_within, on_axes
+from jackbox_env.exact.geometry import ONE_REDUCTION, cos_sin_within, on_axes
 from jackbox_env.exact.search import STEEPEST
 from jackbox_env.exact.step import CONSTANT, StepParameters, make_parameters
 from jackbox_env.exact.workspace import (
@@ -198,7 +198,7 @@ def is_ordinary(state: Array, most: float) -> bool:
     largest = 0.0
     for index in range(12):
         largest = max(largest, abs(state[index]))
-    return bool((largest < most) & (max(abs(state[THETA_BOX]), abs(state[THETA_JACK])) < LARGEST))
+    return bool((largest < most) & (max(abs(state[THETA_BOX]), abs(state[THETA_JACK])) < ONE_REDUCTION))
 
 
 def ordinary(scene: SceneNumbers) -> float:

@@ -39,7 +39,7 @@ def coast(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tole
     return Status.DONE
 
 
-def fly(values: Array, kind: int, moments: Moments, states: Array, workspaces: Workspaces, log: Array) -> int:
+def fly_to(values: Array, kind: int, moments: Moments, states: Array, workspaces: Workspaces, log: Array) -> int:
     """Fill in the states, shape (n, 12), after flight from each start; return the first row that failed, or -1.
 
     Compiled with :func:`coast` for ``advance``; without, it makes steps, in which feet may rest. ``log`` is scratch, of

@@ -103,10 +103,10 @@ def uniform(words: Words) -> float:
 
 def seeded(seed: int) -> Words:
     """The words of ``numpy.random.PCG64(seed)``, shape (6,)."""
-    return packed(np.random.Generator(np.random.PCG64(seed)))
+    return words_of(np.random.Generator(np.random.PCG64(seed)))
 
 
-def packed(generator: np.random.Generator) -> Words:
+def words_of(generator: np.random.Generator) -> Words:
     """The words of a PCG64 generator, shape (6,)."""
     numpy_state: Any = generator.bit_generator.state
     state, increment = int(numpy_state["state"]["state"]), int(numpy_state["state"]["inc"])
@@ -116,7 +116,7 @@ def packed(generator: np.random.Generator) -> Words:
     return np.array(words, dtype=np.uint64)
 
 
-def unpacked(words: Words) -> np.random.Generator:
+def generator_of(words: Words) -> np.random.Generator:
     """numpy's generator of these words, shape (6,), or (4,) without a stored half word."""
     high, low, increment_high, increment_low, has_half, half = [*map(int, words), 0, 0][:WITH_HALVES]
     generator = np.random.PCG64(0)

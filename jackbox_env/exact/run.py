@@ -17,9 +17,11 @@ from jackbox_env.exact.glide import Block, glide_block, glide_under_chirp
 from jackbox_env.exact.score import block_actor, block_observer, block_scorer
 from jackbox_env.exact.step import CHIRP, CONSTANT, Pieces, StepParameters, effort, make_parameters, step
 from jackbox_env.exact.workspace import (
-    ACTIONS,
     APPLIED,
+    CONTROL_ACTIONS,
+    CONTROL_SHARES,
     DECISIONS,
+    HEIGHT,
     HITS,
     IMPULSE_SUM,
     LEFT,
@@ -27,12 +29,10 @@ from jackbox_env.exact.workspace import (
     NEAR,
     OVER,
     SEPARATED,
-    SHARES,
     STEPS,
     TIME,
     TORQUE,
     UNSCORED,
-    WIDTH,
     Arguments,
     Results,
     Rules,
@@ -42,6 +42,7 @@ from jackbox_env.exact.workspace import (
     arguments_at,
     make_numbers,
 )
+from jackbox_env.jit.compiler import inlined
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import SceneNumbers
@@ -67,62 +68,79 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
         number of impacts recorded.
     """
     call = arguments_at(address)
-    scenes, rules, results, scratch = call.scenes, call.rules, call.results, call.memory.scratch
-    memory, score = call.memory.workspaces[0], block_scorer(rules.score)
-    scene = make_numbers(scenes.values[0])
-    params = make_parameters(scene, rules.dt, scenes.kinds[0])
-    width, count = call.before.shape[2], results.terminations.shape[0]
+    rules, memory, width = call.rules, call.memory.workspaces[0], call.before.shape[2]
+    scene, count = make_numbers(call.scenes.values[0]), call.results.terminations.shape[0]
+    params = make_parameters(scene, rules.dt, call.scenes.kinds[0])
     finished, recorded, memory.work = 0, 0, 0.0
     for number in range(low, high):
         for k in range(first if number == low else 0, rules.steps):
             if memory.work > rules.patience and memory.work > 0.0:
                 return Status.PAUSED.value, number, k, finished, recorded
             block = Block(
-                (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number], scratch,
-                scenes.scene_params[number if scenes.scene_params.shape[0] > 1 else 0], number * width,
+                (call.after if k & 1 else call.before)[number], (call.before if k & 1 else call.after)[number],
+                call.memory.scratch,
+                call.scenes.scene_params[number if call.scenes.scene_params.shape[0] > 1 else 0], number * width,
                 min(width, count - number * width),
             )  # fmt: skip
             if k > 0 and skip_remaining_steps(call, block, k):
                 break
-            # Move: rows in free flight together, then the others one by one.
-            bad = set_torques(address, block, k)
-            if bad >= 0:
-                ended = Status.BAD_TORQUE if rules.kind == ACTIONS else Status.BAD_ACTION
-                return ended.value, block.first + bad, k, finished, recorded
-            if memory.lane == 0:
-                memory.glided = 1 if fly_block(scene, params, scenes, block, memory) else 0
-            ended, lane, recorded = step_lanes(scene, params, address, block, k, recorded)
+            ended, lane, recorded = move(scene, params, address, block, k, recorded)
             if ended == Status.FULL or ended == Status.PAUSED or ended == Status.UNCOMPILED:
                 return ended.value, number, k, finished, recorded
             memory.lane = 0
+            waiting, ends = keep_waiting(block), 0
+            if ended == Status.DONE and call.results.rewards.shape[0]:
+                ended, lane, ends = reward(call, block, k, waiting)
             if ended != Status.DONE:
                 return ended.value, block.first + lane, k, finished, recorded
             memory.work += block.size
-            # Reward.
-            waiting = keep_waiting(block)
-            unscored, skipped, ends = block.before[OVER], waiting, 0
-            if rules.continue_after_done:
-                unscored, skipped = scratch[UNSCORED], mark_unscored(block, results.terminations)
-            if results.rewards.shape[0]:
-                rewards = results.rewards[min(k, results.rewards.shape[0] - 1)]
-                ends = score(
-                    scenes.values, block.after, scratch, unscored, skipped, block.first, k, rewards,
-                    results.terminations, results.reports,
-                )  # fmt: skip
-                if ends < 0:
-                    bad = first_unusable(block, rewards)
-                    return Status.BAD_REWARD.value, block.first + bad, k, finished, recorded
-                for lane in range(block.size if results.returns.shape[0] else 0):
-                    row = block.first + lane
-                    results.returns[row] = rewards[row] + (results.returns[row] if k else -0.0)  # -0.0 stays -0.0
-            # End episodes, and record.
-            finished += close_block(rules, block, results, waiting > 0, ends != 0, k + 1)
+            finished += close_block(rules, block, call.results, waiting > 0, ends != 0, k + 1)
             record(address, scene, block, k)
         finished += count_decisions(call, number)
         bad = finish_block(call, number)
         if bad >= 0:
             return Status.BAD_OBSERVATION.value, number * width + bad, rules.steps, finished, recorded
     return Status.DONE.value, -1, rules.steps, finished, recorded
+
+
+@inlined
+def move(
+    scene: SceneNumbers, params: StepParameters, address: Any, block: Block, k: int, recorded: int
+) -> tuple[Status, int, int]:
+    """Step a block: the rows in free flight together, then the others one by one.
+
+    ``scene`` and ``params`` are those of the first row. Returns how it ended, the lane that failed, and the number of
+    impacts in the log.
+    """
+    call = arguments_at(address)
+    memory, bad = call.memory.workspaces[0], set_torques(address, block, k)
+    if bad >= 0:
+        return Status.BAD_TORQUE if call.rules.controls == CONTROL_ACTIONS else Status.BAD_ACTION, bad, recorded
+    if memory.lane == 0:
+        memory.glided = 1 if fly_block(scene, params, call.scenes, block, memory) else 0
+    return step_lanes(scene, params, address, block, k, recorded)
+
+
+@inlined
+def reward(call: Arguments, block: Block, k: int, waiting: int) -> tuple[Status, int, int]:
+    """Reward a step of a block, of which ``waiting`` episodes were over before.
+
+    Returns how it ended, the lane whose reward is unusable, and the number of episodes that the task ends.
+    """
+    results, scratch, unscored, skipped = call.results, call.memory.scratch, block.before[OVER], waiting
+    if call.rules.continue_after_done:
+        unscored, skipped = scratch[UNSCORED], mark_unscored(block, results.terminations)
+    rewards = results.rewards[min(k, results.rewards.shape[0] - 1)]
+    ends = block_scorer(call.rules.score)(
+        call.scenes.values, block.after, scratch, unscored, skipped, block.first, k, rewards, results.terminations,
+        results.reports,
+    )  # fmt: skip
+    if ends < 0:
+        return Status.BAD_REWARD, first_unusable(block, rewards), 0
+    for lane in range(block.size if results.returns.shape[0] else 0):
+        row = block.first + lane
+        results.returns[row] = rewards[row] + (results.returns[row] if k else -0.0)  # -0.0 stays -0.0
+    return Status.DONE, -1, ends
 
 
 def set_torques(address: Any, block: Block, k: int) -> int:
@@ -136,12 +154,12 @@ def set_torques(address: Any, block: Block, k: int) -> int:
     if not controls.shape[0]:
         torque[:] = 0.0
         return -1
-    if call.rules.kind == ACTIONS:
+    if call.rules.controls == CONTROL_ACTIONS:
         act = block_actor(call.rules.act)
         return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     here, usable = step_controls[block.first : block.first + block.size], 0
-    if call.rules.kind == SHARES:
+    if call.rules.controls == CONTROL_SHARES:
         for lane in range(block.size):
             torque[lane] = max(-1.0, min(1.0, here[lane])) * limit[lane]
     else:
@@ -247,7 +265,7 @@ def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
     for lane in range(block.size):
         if block.before[OVER, lane] == 0.0:
             return False
-    for column in range(WIDTH if (call.rules.steps - k) & 1 else 0):
+    for column in range(HEIGHT if (call.rules.steps - k) & 1 else 0):
         for lane in range(block.size):
             block.after[column, lane] = block.before[column, lane]
     return True

@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.geometry import LARGEST, cos_sin, cos_sin_within, without_turns
+from jackbox_env.exact.geometry import ONE_REDUCTION, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import (
     APPLIED,
+    HEIGHT,
     HITS,
     IMPULSE_SUM,
     OVER,
     TIME,
     TORQUE,
-    WIDTH,
     Status,
     arguments_at,
     make_numbers,
@@ -110,7 +110,7 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
     for k in range(count):
         cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
     for k in range(count):
-        beyond += 0 if max(abs(cosine[k]), abs(cosine_4[k])) < LARGEST else 1
+        beyond += 0 if max(abs(cosine[k]), abs(cosine_4[k])) < ONE_REDUCTION else 1
     if not beyond:
         for k in range(count):
             cosine[k], sine[k] = cos_sin_within(cosine[k])
@@ -295,7 +295,7 @@ def step_and_score(run: Any, address: Any, scoring: Any) -> tuple[int, int]:
     ended, _, _, _, hits = one_row(run)(address, 0, 1, 0)
     if ended == Status.DONE.value and scoring != 0:
         call, to = arguments_at(address), scoring_at(scoring)
-        row, scratch = call.after[0].reshape(WIDTH), call.memory.scratch
+        row, scratch = call.after[0].reshape(HEIGHT), call.memory.scratch
         over = row_scorer(to.scorer)(to.values, row[:12], scratch[TORQUE, 0], scratch[IMPULSE_SUM, 0], to.terms)
         to.verdict[0] = 1 if over else 0
         if to.observation.shape[0] and not row_observer(to.observer)(to.values, row[:12], row[TIME], to.observation):

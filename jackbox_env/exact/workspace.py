@@ -86,10 +86,10 @@ BOX_COSINE, BOX_SINE, COSINE, SINE = range(13, 17)  # of the box's angle and of 
 OMEGA_SQUARED, SPIN_SQUARED = 17, 18
 FORCE = 19  # at held feet, 3 rows; below: their levers about box and jack, and their extent along the normal [m]
 BOX_LEVER, JACK_LEVER, EXTENT = 22, 25, 28  # 3 rows each
-# Rows of a block of environments, (WIDTH, width): the 12 numbers of the state, and these.
+# Rows of a block of environments, (HEIGHT, width): the 12 numbers of the state, and these.
 TIME, STEPS, OVER = 12, 13, 14  # [s], steps in the episode, 1 if it has ended, 2 if an impact has stopped the row
 DECISIONS = 15  # in the episode, counted if each has several steps
-WIDTH = 16
+HEIGHT = 16
 WIDEST = 128  # environments in a block
 # Rows of a block's scenes, with one number for each environment.
 LIMIT = 0  # of the torque [N m]
@@ -112,6 +112,16 @@ SEPARATED = 26  # whether a step of the call had no impact
 APPLIED = 27  # torque of the controls [N m]
 LEFT = 28  # whether a row is left to be stepped alone
 SCRATCH = 29
+
+
+def column_of(blocks: Array, row: int, count: int) -> Array:
+    """A copy of one row of blocks, such as ``TIME``, shape (N,)."""
+    return blocks[:, row].reshape(-1)[:count].copy()
+
+
+def states_of(blocks: Array, count: int) -> Array:
+    """A copy of the states in blocks, shape (N, 12)."""
+    return blocks[:, :12].transpose(0, 2, 1).copy().reshape(-1, 12)[:count]
 
 
 @cache
@@ -180,7 +190,7 @@ class Scenes(NamedTuple):
 
 # Kinds of controls: torques [N m]; shares of the torque limit, clipped to [-1, 1]; actions, whose torques ``act_block``
 # computes.
-TORQUES, SHARES, ACTIONS = range(3)
+CONTROL_TORQUES, CONTROL_SHARES, CONTROL_ACTIONS = range(3)
 
 
 class Rules(NamedTuple):
@@ -189,14 +199,14 @@ class Rules(NamedTuple):
     dt: float  # control step [s]
     steps: int = 1
     longest: float = math.inf  # steps after which an episode is truncated
-    kind: int = TORQUES  # of the controls: TORQUES, SHARES or ACTIONS
+    controls: int = CONTROL_TORQUES  # their kind: CONTROL_TORQUES, CONTROL_SHARES or CONTROL_ACTIONS
     continue_after_done: bool = False  # whether rows go on after their episode's end, without rewards
     # 0: impacts stop no row; else one does after a step without, or once so many steps are made.
     max_contact_steps: int = 0
     decisions: float = math.inf  # calls after which an episode is truncated; counted if it is finite
     score: Any = 0  # address of the task's ``score_block``; unused without rewards
     observe: Any = 0  # address of the observation's ``observe_rows``; unused without observations
-    act: Any = 0  # address of the action's ``act_block``; unused but with ACTIONS
+    act: Any = 0  # address of the action's ``act_block``; unused but with CONTROL_ACTIONS
     patience: float = math.inf  # work before the call pauses, in gap evaluations
 
 
@@ -218,23 +228,23 @@ class Results(NamedTuple):
     nonsmooth: Flags = np.zeros((0, 0), np.bool_)  # whether a step has no derivative, (N, steps)
 
 
-class Memory(NamedTuple):
-    """Memory of one thread."""
+class ThreadMemory(NamedTuple):
+    """ThreadMemory of one thread."""
 
     scratch: Array  # (SCRATCH, width)
     workspaces: Workspaces  # (1,)
     log: Array  # (impacts, AT_IMPACT or WIDE), records of impacts; (0, ...): they are not recorded
 
 
-def new_memory(width: int, impacts: int = 0, wide: bool = False) -> Memory:
-    """Memory for one thread.
+def new_memory(width: int, impacts: int = 0, wide: bool = False) -> ThreadMemory:
+    """ThreadMemory for one thread.
 
     Args:
         width: rows in a block.
         impacts: room in the log at first.
         wide: whether the log records the states at impacts, for derivatives.
     """
-    return Memory(np.zeros((SCRATCH, width)), new_workspaces(), new_log(impacts, wide))
+    return ThreadMemory(np.zeros((SCRATCH, width)), new_workspaces(), new_log(impacts, wide))
 
 
 class Arguments(NamedTuple):
@@ -244,15 +254,17 @@ class Arguments(NamedTuple):
     rules: Rules
     before: Array  # (blocks, 16, width): the rows; overwritten if there are several steps
     after: Array  # (blocks, 16, width): the rows after an odd number of steps; else they are in ``before``
-    controls: Array  # (steps / repeat, N), each repeated for as many steps; ACTIONS: (n, N). (0, 0): the drives act
+    controls: (
+        Array  # (steps / repeat, N), each repeated for as many steps; CONTROL_ACTIONS: (n, N). (0, 0): the drives act
+    )
     results: Results
-    memory: Memory
+    memory: ThreadMemory
 
 
 def example() -> Arguments:
     """Empty arguments of the types that :func:`jackbox_env.exact.run.run` is compiled for."""
     none, cube, counts = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0, np.int64)
-    scenes, memory = Scenes(none, cube, counts, none, counts, counts), Memory(none, new_workspaces(), none)
+    scenes, memory = Scenes(none, cube, counts, none, counts, counts), ThreadMemory(none, new_workspaces(), none)
     return Arguments(scenes, Rules(0.02), cube, cube, none, Results(), memory)
 
 
@@ -262,7 +274,7 @@ arguments_at = unpacked_as(example)
 class Call:
     """A call of :func:`jackbox_env.exact.run.run`: its arguments at an ``address``, and the calling thread's memory."""
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, memory: ThreadMemory) -> None:
         self.memory = memory
         self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
         self.address, self._pack, self._pack_again = 0, compiled(pack), compiled(pack_again)
@@ -299,7 +311,13 @@ def pack(
 ) -> Any:  # fmt: skip
     """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
     filled = Arguments(
-        Scenes(*scenes), Rules(*rules), before, after, controls, Results(*results), Memory(scratch, workspaces, log)
+        Scenes(*scenes),
+        Rules(*rules),
+        before,
+        after,
+        controls,
+        Results(*results),
+        ThreadMemory(scratch, workspaces, log),
     )
     return packed(memory.ctypes.data, filled)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.fits.least_squares import Indices
 from jackbox_env.fits.observed import Recording
+from jackbox_env.fits.shooting import brief
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import (
@@ -38,7 +39,6 @@ _JACK = slice(X_JACK, RATES)
 _LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _ELSEWHERE = 0.05  # half widths
-_LASTING = 0.05  # [s] of a flight in whose middle a window ends, at least
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _FEW = 2  # impacts, fewer of which give no ratio
@@ -118,7 +118,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
     """Duration [s] of a flight whose rows give its acceleration to a sixth; what is shorter may be rest."""
     spread = 180.0 * (_FALLING * noise[Y_JACK] / _fall(scene)) ** 2 * recording.dt
-    return max(_LASTING, float(spread**0.2))
+    return max(brief(scene), float(spread**0.2))
 
 
 def _fall(scene: Scene) -> float:

@@ -23,6 +23,7 @@ SHORTEST = 1e-9  # [s] between states
 IMPACT = "impacts"  # the name of the noise of impacts' times
 _SMALLEST_NOISE = 1e-12  # of the argument, in SI units
 _FIRST_NOISE = 1e-2  # assumed without enough rows, in units of the state; of impacts' times [s]
+_SMOOTH = 1.45  # times the noise; of medians and means over 3 rows and more 1.5 and more
 _LEAST_DIFFERENCES = 20  # third differences, more of which give an estimate of the noise
 
 
@@ -78,12 +79,11 @@ class Recording:
         self.impacts = None if impacts is None else _finite("impacts", impacts)
         if self.impacts is not None and (self.impacts.ndim != 1 or (np.diff(self.impacts) < 0.0).any()):
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
-        heard = self.impacts is not None and len(self.impacts) > 0
-        end = self.time + count * self.dt
-        if heard and not ((self.impacts >= self.time) & (self.impacts <= end)).any():
+        heard, end = np.zeros(0) if self.impacts is None else self.impacts, self.time + count * self.dt
+        if len(heard) and not ((heard >= self.time) & (heard <= end)).any():
             within = f"within the recording, from {self.time:.6g} to {end:.6g} s"
-            raise ValueError(f"impacts must be {within}, got {self.impacts[0]:.6g} s first: another clock?")
-        if not (heard or np.isfinite(self.states).any()):
+            raise ValueError(f"impacts must be {within}, got {heard[0]:.6g} s first: another clock?")
+        if not (len(heard) or np.isfinite(self.states).any()):
             raise ValueError("states must have an observed number, got NaN only and no impacts")
         self.notes: tuple[str, ...] = ()
 
@@ -204,6 +204,15 @@ def rough_noise(recordings: Sequence[Recording], units: Array) -> Array:
         if len(differences) > _LEAST_DIFFERENCES:
             noise[column] = max(float(np.median(differences)) / 0.6745, 1e-6 * units[column])
     return noise
+
+
+def looks_smoothed(recordings: Sequence[Recording]) -> bool:
+    """Whether each position has more noise by every second row than by all, as no white noise has."""
+    columns = [one.states[:, column] for one in recordings for column in range(RATES)]
+    both = [(_third_differences(values), _third_differences(values[::2])) for values in columns]
+    enough = [(every, second) for every, second in both if len(second) > _LEAST_DIFFERENCES]
+    more = [np.median(abs(second)) > _SMOOTH * np.median(abs(every)) for every, second in enough]
+    return bool(more) and all(more)
 
 
 def _third_differences(values: Array) -> Array:

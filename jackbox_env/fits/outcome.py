@@ -7,10 +7,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jackbox_env.exact.tangents import FIELDS
+from jackbox_env.fits.faults import FAULTS, spoilt
 from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
-from jackbox_env.fits.observed import IMPACT, pushed
+from jackbox_env.fits.observed import IMPACT, looks_smoothed, pushed
 from jackbox_env.fits.residuals import (
     autocorrelations,
     degrees_of_freedom,
@@ -25,7 +27,17 @@ from jackbox_env.fits.residuals import (
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, unlink
 from jackbox_env.fits.shooting import Parameters, Shooting
-from jackbox_env.model.states import RATES, STATE_NAMES, STATE_UNITS, X_JACK, Array
+from jackbox_env.model.mechanics import contacts_of
+from jackbox_env.model.states import (
+    RATES,
+    STATE_NAMES,
+    STATE_UNITS,
+    VX_JACK,
+    VY_JACK,
+    X_JACK,
+    Y_JACK,
+    Array,
+)
 from jackbox_env.tools import checks as check
 
 with check.extra("jackbox_env.fit", "scipy", "train"):
@@ -35,7 +47,11 @@ _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviat
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
 _FAR = 6.0  # standard deviations of a row that is bad
+_NEAR = 0.05  # half widths of a foot that may rest on a wall; no higher bounce piles up
 _MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
+_PLACE = {X_JACK, Y_JACK, VX_JACK, VY_JACK}
+_FEW = 20  # windows
+_SLIGHT = 1e-6  # size of a fault, of which derivatives are differences
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 
 
@@ -55,6 +71,10 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
     unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
     if not any(pushed(one, parameters.start) for one in search.recordings):
         unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
+    deviations = autocorrelations(rows, projections)
+    problems = [*_problems(search, ended, bool(np.isfinite(half_widths).any()), rows, deviations, residuals)]
+    if problems and looks_smoothed(search.recordings):
+        problems.insert(0, "the track looks smoothed: fit what was measured")
     return Fit(
         parameters.scene(numbers),
         {name: (float(low), float(high)) for name, low, high in zip(parameters.fields, *ends, strict=True)},
@@ -63,14 +83,20 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
         {name: float(search.noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
         states,
         left_out,
-        tuple(_problems(search, ended, rows, autocorrelations(rows, projections), residuals)),
+        tuple(problems),
         tuple(_bad_row_sentences(search)),
         sum(_not_followed(search)[1]),
     )
 
 
-def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_out: Array) -> Iterator[str]:
+def _problems(
+    search: Search, ended: bool, known: bool, rows: Rows, deviations: Array, held_out: Array
+) -> Iterator[str]:
     """Why the intervals are not to be trusted, in sentences."""
+    if not known:
+        yield "the recordings identify none of the fields"
+    if {*np.unique(rows.column[rows.column >= 0])} <= _PLACE:
+        yield "nothing but the jack's place was observed, with which other motions may agree as well"
     if not ended:
         yield "the search did not end"
     shooting = Shooting(search.recordings, search.parameters, search.windows)
@@ -110,32 +136,35 @@ def _problems(search: Search, ended: bool, rows: Rows, deviations: Array, held_o
 
 
 def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
-    """The field that would move furthest if it was fitted, too, and by how many standard deviations.
+    """The field or fault that would move furthest if it was fitted, too, and by how many standard deviations.
 
-    Each is tried by itself: an inertia alone, but a mass or a length with the inertias that follow it.
+    Each is tried by itself: an inertia alone, but a mass or a length with the inertias that follow it. If few impacts
+    were used, so is the restitution of each, because one that was followed wrongly decides much there.
     """
+    fields, right = search.parameters.fields, search.recordings
     present, slack = search.parameters.scene(search.numbers), search.scaled_slack(LINK_SLACKS[-1])
-    others = [name for name in FIELDS if name not in search.parameters.fields]
-    independent = [name for name in others if name not in present.derived]
-    alone = [name for name in others if name in present.derived]
-    columns, fields = [rows.jacobian], list[str]()
-    for scene, names in [(present, independent), *([(replace(present), alone)] if alone else [])]:
-        parameters = Parameters(names, scene)
-        shooting = Shooting(search.recordings, parameters, search.windows)
+    less = {name: (1.0 - _SLIGHT) * getattr(present, name) for name in FIELDS if name not in fields}
+    cases = {name: (right, Parameters(fields, present.changed(**{name: value}))) for name, value in less.items()}
+    cases |= {fault: ([spoilt(one, fault, _SLIGHT) for one in right], search.parameters) for fault in FAULTS}
+    columns, names = [rows.jacobian], list[str]()
+    for name, (recordings, parameters) in cases.items():
+        shooting = Shooting(recordings, parameters, search.windows)
         shooting.units = search.units
-        changed = shooting.rows(shooting.unknowns(parameters.of(scene)), search.noise, slack)
-        if changed is not None:  # else rounding has changed what can be followed
-            columns.append(changed.jacobian[:, 2 * WIDTH :])
-            fields += names
-    if not fields:
-        return "", 0.0
+        changed = shooting.rows(shooting.unknowns(search.numbers), search.noise, slack)
+        if changed is not None:  # else the small change has changed what can be followed
+            columns.append((changed.residuals - rows.residuals)[:, None] / _SLIGHT)
+            names.append(name)
+    if "restitution" in fields and len(search.windows) <= _FEW:
+        by_restitution = rows.jacobian[:, 2 * WIDTH + fields.index("restitution")]
+        columns.append(by_restitution[:, None] * (rows.window[:, None] == np.arange(len(search.windows))))
+        names += [f"restitution from row {one.first} to {one.last}" for one in search.windows]
     moves = abs(Chain(rows._replace(jacobian=np.column_stack(columns)), len(search.windows)).moves(rows.fields))
     furthest = int(np.argmax(moves))
-    return fields[furthest], float(moves[furthest])
+    return names[furthest], float(moves[furthest])
 
 
 def _bad_row_sentences(search: Search) -> Iterator[str]:
-    """The rows that were left out, and how far the jack is off; not rows that agree with the fitted motion."""
+    """The rows that were left out, and how far the jack is off; not rows in which it is on no or on the fitted path."""
     for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions()[0], strict=True)):
         recorded, noise = search.recorded[number].states, search.noise[X_JACK:RATES]
         recording = f" of recording {number}" * (len(search.bad_rows) > 1)
@@ -143,7 +172,7 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
             text = "x_jack and y_jack are 0, as of a lost frame"
             if row in rows:
                 off, away = abs(rows[row]), abs(recorded[row] - states[row])[X_JACK:RATES] / noise
-                if np.isfinite(away).any() and not (away > _FAR).any():
+                if not (away > _FAR).any():
                     continue
                 column = int(np.nanargmax(off / noise))
                 text = f"{STATE_NAMES[X_JACK + column]} is {off[column]:.2g} {STATE_UNITS[X_JACK + column]} off"
@@ -154,8 +183,10 @@ def _not_followed(search: Search) -> tuple[int, list[float]]:
     """The number of missing links between windows, and by recording the time in which the jack moves in none [s]."""
     joints, seconds = 0, list[float]()
     for number, modelled in enumerate(search.motions()[0]):
-        missing, flown = np.isnan(modelled[1:, X_JACK]), search.flown[number]
-        steps = sum(int(missing[first:last].sum()) for first, last in flown)
+        missing, flown, moving = np.isnan(modelled[1:, X_JACK]), search.flown[number], _aloft(search, number)
+        for first, last in flown:
+            moving[first + 1 : last + 1] = True
+        steps = int((missing & moving[1:]).sum())
         if search.flights[number] is None:
             joints += sum(window.recording == number for window in search.windows) - 1
             steps = max(steps, int(missing.sum()) - search.resting_steps[number])
@@ -163,6 +194,14 @@ def _not_followed(search: Search) -> tuple[int, list[float]]:
             joints += sum(one[1] == other[0] for one, other in pairwise(flown))
         seconds.append(steps * search.recordings[number].dt)
     return joints, seconds
+
+
+def _aloft(search: Search, number: int) -> NDArray[np.bool_]:
+    """The rows of a recording in which no foot is near a wall, so that the jack does not rest; False if unseen."""
+    states, scene = search.recordings[number].states, search.parameters.scene(search.numbers)
+    walls, feet = np.divmod(np.arange(16 * len(states)) % 16, 4)
+    gaps = contacts_of(scene, np.repeat(states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
+    return np.asarray(gaps > _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK])
 
 
 def _held_out_residuals(search: Search) -> Array:

@@ -24,8 +24,8 @@ from jackbox_env.planning.linearization import linearize
 from jackbox_env.simulators import JackLostError
 
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
-_APART = 0.05  # [s] between impacts of one window and of the next
-_SHORTEST = 0.06  # [s] of a window; bounces that pile up leave less
+_APART = 0.05  # [s] between impacts of one window and of the next, in all but small boxes; a window lasts longer
+_SMALL = 0.15  # [s], sqrt(L / g) of boxes below which that shrinks
 _ROWS = 2  # for each impact of a window, at least; fewer do not determine the order of impacts
 MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
@@ -272,6 +272,11 @@ class Shooting:
         return Rows(off, jacobian, np.full(12, LINK), np.full(12, index))
 
 
+def brief(scene: Scene) -> float:
+    """The least time between impacts of different windows [s]; what follows sooner may pile up."""
+    return _APART * min(1.0, math.sqrt(scene.box_half_width / max(scene.gravity, 1e-9)) / _SMALL)
+
+
 def next_window(
     recording: Recording, number: int, first: int, start: Array, parameters: Parameters, numbers: Array
 ) -> Window | None:
@@ -287,14 +292,14 @@ def next_window(
         modelled = motion(recording, window, parameters, numbers)
         if modelled is None:
             return None
-        apart = np.flatnonzero(np.diff(modelled.times) > _APART)
+        apart = np.flatnonzero(np.diff(modelled.times) > brief(parameters.start))
         count = int(apart[0]) + 1 if len(apart) else len(modelled.times)
         if count > MOST_IMPACTS or (modelled.smooth < last - first and not len(apart)):
             return None
         if len(apart):
             middle = 0.5 * (modelled.times[count - 1] + modelled.times[count])
             window.last = first + max(1, round((middle - recording.time) / recording.dt) - first)
-            return window if window.last - first > _SHORTEST / recording.dt else None
+            return window if window.last - first > 1.2 * brief(parameters.start) / recording.dt else None
         if last == most:
             return window
         ahead *= 2

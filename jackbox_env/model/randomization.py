@@ -83,6 +83,18 @@ class Randomization:
         return [name in scene.derived and name not in self.ranges for name in _INERTIAS]
 
 
+def next_scene(
+    original: Scene, randomize: Randomization | None, rng: np.random.Generator, changes: Mapping[str, Any]
+) -> Scene:
+    """The scene of an episode: the ``original``, with fields that are drawn, then ``changes``.
+
+    Raises:
+        TypeError, ValueError: an invalid scene.
+    """
+    drawn = {} if randomize is None else randomize.draw(original, rng)
+    return original.changed(**{**drawn, **changes})
+
+
 def _range(name: str, ends: Any) -> tuple[float, float]:
     if not isinstance(ends, Sequence | np.ndarray) or isinstance(ends, str) or len(ends) != 2:
         raise TypeError(f"randomize[{name!r}] must be (least, largest), got {check.shown(ends)}")

@@ -19,10 +19,10 @@ from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import (
+    HEIGHT,
     SCENE_PARAMS,
     TIME,
     WIDEST,
-    WIDTH,
     Call,
     Results,
     Rules,
@@ -30,6 +30,7 @@ from jackbox_env.exact.workspace import (
     Status,
     new_log,
     new_memory,
+    states_of,
 )
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.mechanics import energy_of
@@ -43,10 +44,9 @@ from jackbox_env.simulators.exact import (
     NO_PIECES,
     WITH_PIECES,
     ExactSimulator,
+    cut,
     drive_kind,
     failure,
-    joined,
-    pieces_for,
 )
 from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check
@@ -259,7 +259,7 @@ def run_rollouts(
     threads = Threads(thread_count(options.num_threads, ranges))
     # Of all numbers of threads, so that they name the same row in errors.
     width = max(1, min(count, WIDEST, max(_FEWEST, count // _PARTS)))
-    blocks = np.zeros((2, -(-count // width), WIDTH, width))
+    blocks = np.zeros((2, -(-count // width), HEIGHT, width))
     _put_rows(blocks[0], starts, time)
     played = _scenes_played(scenes, times, dt, options.side_forces, None if options.drives_turn else 0.0, blocks.shape)
     score = compiled_for(task, score_block) if task else None
@@ -293,8 +293,7 @@ def run_rollouts(
         log = np.concatenate([new_log(0, True), *(rows for *_, logs in parts for rows in logs)])
         tape.rows, tape.hits, tape.nonsmooth = log[_by_row(hits, width)], hits, results.nonsmooth
     if not options.whole:
-        ends = blocks[steps % 2, :, :12].transpose(0, 2, 1).reshape(-1, 12)[:count]
-        trajectories = np.stack([starts, ends], axis=1)
+        trajectories = np.stack([starts, states_of(blocks[steps % 2], count)], axis=1)
     return Rollout(
         trajectories, results.energies if options.energy else None, hits if options.impacts else None,
         np.ascontiguousarray(results.impulses.T) if options.impacts else None,
@@ -361,16 +360,10 @@ def _scenes_played(
     compiled(spread)(values, dt, scene_params, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
-    if not any(kind in WITH_PIECES for kind in kinds.tolist()):
+    if not any(kind in WITH_PIECES for kind in kinds.tolist()):  # np.isin takes longer than a short rollout
         return Scenes(values, scene_params, kinds, *NO_PIECES)
-    starts, tables, begins = (times[:-1] if len(times) > 1 else times).T.tolist(), list[Array](), dict[Any, int]()
-    rows = [(drive, starts[row if len(starts) > 1 else 0]) for row, drive in enumerate(drives)]
-    for drive, begin in rows:
-        if (id(drive), begin[0]) not in begins:
-            begins[id(drive), begin[0]] = len(tables)
-            tables += [pieces_for(drive, start, dt, torque) for start in begin]
-    first = np.array([begins[id(drive), begin[0]] for drive, begin in rows], np.int64)
-    return Scenes(values, scene_params, kinds, *joined(tables, first))
+    starts, steps = np.broadcast_to(times[0], len(scenes)), np.full(len(scenes), len(times) - 1)
+    return Scenes(values, scene_params, kinds, *cut(drives, kinds, starts, steps, dt, torque))
 
 
 def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: ArrayLike) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.late import with_all
-from jackbox_env.exact.motion import Moments, coast, fly
+from jackbox_env.exact.motion import Moments, coast, fly_to
 from jackbox_env.exact.workspace import new_workspaces
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene
@@ -127,7 +127,7 @@ class Record:
             knots.states[indices], knots.times[indices], torques, durations, table, ends[number], ends[number + 1]
         )
         states: Array = np.empty((count, 12))
-        loop = compiled(fly) if resting else compiled(fly, advance=coast)
+        loop = compiled(fly_to) if resting else compiled(fly_to, advance=coast)
         failed = loop(np.array(scene.numbers), kind, moments, states, with_all(new_workspaces()), np.zeros((_ROOM, 4)))
         if failed >= 0:
             raise RuntimeError(f"the flight after t = {knots.times[indices[failed]]:g} s cannot be evaluated")

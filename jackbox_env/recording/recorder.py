@@ -15,17 +15,17 @@ from jackbox_env.exact.threads import Halt, run_blocks
 from jackbox_env.exact.workspace import (
     AFTER,
     BEFORE,
+    HEIGHT,
     HELD_SO_FAR,
     JUMPS,
     SCENE_PARAMS,
     SCRATCH,
     TIME,
-    WIDTH,
     Call,
-    Memory,
     Results,
     Rules,
     Scenes,
+    ThreadMemory,
     new_workspaces,
 )  # fmt: skip
 from jackbox_env.jit.compiler import compiled
@@ -68,7 +68,7 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
     if kind[0] in WITH_PIECES:
         tables, error = _tables(scene, times[:-1].tolist(), dt, held)
         pieces, steps = joined(tables, np.zeros(1, np.int64)), len(tables)
-    blocks = np.zeros((2, 1, WIDTH, 1))
+    blocks = np.zeros((2, 1, HEIGHT, 1))
     blocks[0, 0, :12, 0], blocks[0, 0, TIME] = state, time
     states, values = np.empty((1, steps + 1, 12)), np.array([scene.numbers])
     states[0, 0] = state
@@ -76,7 +76,7 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
         terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_), trajectories=states,
         hits=np.zeros((steps, 1), np.int64), impulses=np.zeros((steps, 1)),
     )  # fmt: skip
-    calls = [Call(Memory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
+    calls = [Call(ThreadMemory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
     calls[0].prepare(
         Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
         Rules(dt, steps=steps, continue_after_done=True, patience=PATIENCE),

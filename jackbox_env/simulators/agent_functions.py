@@ -112,10 +112,10 @@ def observed(scene: Scene, states: Array, observation: str | Observation = "stat
         TaskError: a number is NaN.
     """
     from jackbox_env.exact.score import observe_rows
-    from jackbox_env.exact.workspace import SCRATCH, TIME, WIDTH
+    from jackbox_env.exact.workspace import HEIGHT, SCRATCH, TIME
 
     chosen, count = observation_of(observation), len(states)
-    block, seen = np.zeros((WIDTH, count)), np.empty((count, len(chosen.names)), dtype=np.float32)
+    block, seen = np.zeros((HEIGHT, count)), np.empty((count, len(chosen.names)), dtype=np.float32)
     block[:12], block[TIME] = states.T, time
     numbers = np.array([scene.numbers])
     bad = compiled_for(chosen, observe_rows)(numbers, block, count, np.zeros((SCRATCH, count)), 0, seen)

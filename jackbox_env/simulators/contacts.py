@@ -17,7 +17,7 @@ _MOST_ITERATIONS = 100_000
 _ROUNDING = 1e-16
 
 
-class Recorder:
+class ContactRecorder:
     """A record of the impulses in a step.
 
     The engine calls it after it solved a contact, once per substep while the contact lasts. It does not refer to the
@@ -62,7 +62,7 @@ class Recorder:
 def iterations_for(scene: Scene) -> int:
     """Iterations after which the contact solver is at rounding level for contacts that a jack makes without overlap.
 
-    Feet that a coarse substep drives deep into walls may need more: :attr:`Recorder.strained`.
+    Feet that a coarse substep drives deep into walls may need more: :attr:`ContactRecorder.strained`.
 
     Sequential impulses are the Gauss-Seidel method for A = J M^-1 J^T: the error falls by the largest eigenvalue of
     -(D + L)^-1 L^T in modulus per iteration; those of dependent contacts are 1 and belong to impulses that cancel.

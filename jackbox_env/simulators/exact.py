@@ -44,10 +44,10 @@ from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
+    HEIGHT,
     SCENE_PARAMS,
     TIME,
     TORQUE,
-    WIDTH,
     Call,
     Results,
     Rules,
@@ -58,7 +58,7 @@ from jackbox_env.exact.workspace import (
 )
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
-from jackbox_env.model.states import Array, Numbers
+from jackbox_env.model.states import Array, Counts, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.simulators.drives import function_pieces
 
@@ -91,6 +91,45 @@ def joined(tables: list[Array], begins: NDArray[np.int64]) -> tuple[Array, NDArr
     tables = tables or [NO_TABLE]  # a step for rows without pieces
     ends = np.cumsum([0, *map(len, tables)], dtype=np.int64)
     return np.concatenate(tables), begins, ends
+
+
+def cut(
+    drives: Sequence[Chirp | Drive | None], kinds: Counts, times: Array, steps: Counts, dt: float,
+    torque: float | None, ahead: int | None = None,
+) -> tuple[Array, Counts, Counts]:  # fmt: skip
+    """The pieces of drives of functions in the form of ``workspace.Scenes``, cut once for each drive, time and steps.
+
+    Args:
+        drives: one for all rows, or one for each of N.
+        kinds: of steps under them, (1 or N,), as of :func:`drive_kind`.
+        times: at which the rows start [s], (N,).
+        steps: that each of them makes at most, (N,).
+        dt: duration of a step [s].
+        torque: that is held; any number stands for all. None: the drives' torques act.
+        ahead: steps for which pieces are cut, at most; there are none either from a step on that a drive fails over,
+            after the first, as a row may not reach it. None: all steps need pieces.
+
+    Raises:
+        Exception: a drive fails over a step that needs pieces.
+    """
+    tables, known, begins = list[Array](), dict[tuple[int, float, int], int](), np.zeros(len(times), np.int64)
+    for row in np.flatnonzero(np.isin(kinds, WITH_PIECES) & (steps > 0)).tolist():
+        drive, time, most = drives[row if len(drives) > 1 else 0], float(times[row]), int(steps[row])
+        most = min(most, ahead or most)
+        begin = known.setdefault((id(drive), time, most), len(tables))
+        begins[row] = begin
+        if begin < len(tables):
+            continue
+        end_of_step(time, dt)
+        for start in np.add.accumulate([time, *[dt] * (most - 1)]).tolist():
+            try:
+                tables.append(pieces_for(drive, start, dt, torque))
+            except Exception:
+                if ahead is None or len(tables) == begin:
+                    raise
+                break
+        tables += [NO_TABLE] * (begin + most + 1 - len(tables))
+    return joined(tables, begins)
 
 
 def failure(ended: int, scene: Scene, time: float, dt: float, who: str = "the jack") -> Exception:
@@ -179,7 +218,7 @@ class ExactSimulator(Simulator):
         return self._states[into]
 
     def _prepare(self) -> None:
-        blocks = np.zeros((2, 1, WIDTH, 1))  # before and after a step, in turn
+        blocks = np.zeros((2, 1, HEIGHT, 1))  # before and after a step, in turn
         self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
         self._loop, self._step_and_score = address_of(compiled(run), one_row), compiled(step_and_score)

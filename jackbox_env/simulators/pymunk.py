@@ -67,7 +67,7 @@ from jackbox_env.model.states import (
     deepest_restored,
 )
 from jackbox_env.simulators.base import JackLostError, Simulator, StepResult, end_of_step
-from jackbox_env.simulators.contacts import Recorder, iterations_for
+from jackbox_env.simulators.contacts import ContactRecorder, iterations_for
 from jackbox_env.simulators.flight import fly, reach
 from jackbox_env.simulators.replay import replayed
 from jackbox_env.tools import checks as check
@@ -343,7 +343,7 @@ class PymunkSimulator(Simulator):
         for number, shape in enumerate([*walls, *feet]):
             shape.collision_type = number
         space.add(*walls, *feet)
-        recorder = Recorder()
+        recorder = ContactRecorder()
         space.on_collision(None, None, post_solve=recorder)
         self._space, self._box, self._jack, self._recorder = space, box, jack, recorder
         self._dirty = False

@@ -143,9 +143,10 @@ def _refused(name: str, value: float) -> str:
 
 
 def _lesson() -> list[dict[str, str]]:
-    """The questions of docs/answers.md: title, question and answer in HTML; their scenes are links."""
-    part = r"^## (?:\d\. )?([^\n]+)\n\n<!-- question (\d) -->\n(.*?)<!-- answer \2 -->\n(.*?)<!-- end \2 -->$"
-    text = (ROOT / "docs" / "answers.md").read_text(encoding="utf-8").replace("play.html#", "#")
+    """The questions of docs/lesson.md: title, question and answer in HTML; their scenes are links."""
+    question, answer = r"<!-- question (\d) -->\n(.*?)\n<details>", r"<!-- answer \2 -->\n(.*?)<!-- end \2 -->$"
+    part = rf"^## (?:\d\. )?([^\n]+)\n\n{question}.*?{answer}"
+    text = (ROOT / "docs" / "lesson.md").read_text(encoding="utf-8").replace("play.html#", "#")
     questions = re.findall(part, text, re.MULTILINE | re.DOTALL)
     return [{"title": title, "question": asked, "answer": answered} for title, _, asked, answered in questions]
 

@@ -18,7 +18,7 @@ from jackbox_env.exact.pcg64 import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK
 from jackbox_env.exact.score import observe_landing, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
-from jackbox_env.exact.workspace import AT_IMPACT, WIDTH, Workspace, make_numbers
+from jackbox_env.exact.workspace import AT_IMPACT, HEIGHT, Workspace, make_numbers
 from jackbox_env.model.action import landing_share
 from jackbox_env.model.landing import is_over
 from jackbox_env.model.mechanics import energy_of, twice_kinetic
@@ -32,7 +32,7 @@ SCENE, OBSERVED = len(SceneNumbers._fields), len(OBSERVATIONS["landing"].names)
 
 # Parts of the buffer, and their lengths.
 PARTS = {
-    "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": WIDTH, "STATUS": 1, "HITS": 1,
+    "SCENE": SCENE, "DT": 1, "KIND": 1, "TIME": 1, "TORQUE": 1, "BEFORE": 12, "AFTER": HEIGHT, "STATUS": 1, "HITS": 1,
     "MEAN_TORQUE": 1, "IMPULSE": 1, "REWARDS": TERMS, "ENERGY": 1, "JACK_ENERGY": 1, "MOMENTUM": 3,
     "SHARE": 1, "ACTION": 2, "STEPS": 1, "SEPARATED": 1,
     "GAP": 1, "RESTING": 1,
@@ -109,7 +109,7 @@ def observe(buffer: Any, observation: Any) -> None:
 def start(buffer: Any, numbers: Any, words: Any) -> None:
     """Draw a start into AFTER, from a generator's words; ``numbers`` is one 0."""
     values = array(buffer, (1, LENGTH))[:, SCENE_AT : SCENE_AT + SCENE]
-    blocks = array(buffer, (1, LENGTH, 1))[:, AFTER : AFTER + WIDTH]
+    blocks = array(buffer, (1, LENGTH, 1))[:, AFTER : AFTER + HEIGHT]
     restart_blocks(values, blocks, array(numbers, (1,)), array(words, (1, 4)))
 
 

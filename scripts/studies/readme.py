@@ -78,18 +78,11 @@ def photograph_page() -> None:
 
 def filled(page: str) -> str:
     """The README with its tables filled from the stored results."""
-    from scripts.studies.benchmark import benchmark
     from scripts.studies.speed import speed
 
-    record = json.loads(BENCHMARK.read_text())
-    page = fill(page, "returns", returns_table(record))
-    sentences = {
-        "speed": speed.for_the_readme(json.loads(SPEED.read_text())),
-        "learners": benchmark.for_the_readme(record),
-    }
-    for name, sentence in sentences.items():
-        page = re.sub(f"(<!-- {name} -->).*?(<!-- /{name} -->)", rf"\1{sentence}\2", page)
-    return page
+    page = fill(page, "returns", returns_table(json.loads(BENCHMARK.read_text())))
+    sentence = speed.for_the_readme(json.loads(SPEED.read_text()))
+    return re.sub("(<!-- speed -->).*?(<!-- /speed -->)", rf"\1{sentence}\2", page)
 
 
 def environment_page() -> str:

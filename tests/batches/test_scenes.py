@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene
-from tests.batches.several import EVERY_MODEL
+from tests.states import started
 
 
 def test_equal_scenes_are_one_and_a_list_goes_through_make_vec() -> None:
@@ -18,20 +18,8 @@ def test_equal_scenes_are_one_and_a_list_goes_through_make_vec() -> None:
     assert made.unwrapped.scenes == [Scene(gravity=3.0), Scene()]
 
 
-@EVERY_MODEL
-def test_a_curriculum_reads_its_variable_at_each_reset(contact: str) -> None:
-    mass = [4.0]
-    settings: dict[str, Any] = {"contact": contact, "randomize": lambda _: {"jack_mass": mass[0]}}
-    env, batch = JackInBoxEnv(**settings), JackInBoxVectorEnv(3, max_episode_steps=2, **settings)
-    for mass[0] in (4.0, 400.0):
-        env.reset()
-        batch.reset() if mass[0] == 4.0 else [batch.step(None) for _ in range(3)]  # also the restart of an episode
-        assert {env.scene.jack_mass, *batch.field("jack_mass")} == {mass[0]}
-
-
 def test_numbers_are_drawn_before_the_start_in_the_order_of_the_fields() -> None:
-    env = JackInBoxEnv(randomize={"restitution": (0.8, 1.0), "jack_mass": (2.0, 6.0)})
-    env.reset(seed=3)
+    env = started(JackInBoxEnv(randomize={"restitution": (0.8, 1.0), "jack_mass": (2.0, 6.0)}), seed=3)
     rng = np.random.default_rng(3)
     assert env.scene.jack_mass == 2.0 + 4.0 * rng.random() == env.scene.jack_inertia
     assert env.scene.restitution == 0.8 + (1.0 - 0.8) * rng.random()
@@ -41,9 +29,10 @@ def test_numbers_are_drawn_before_the_start_in_the_order_of_the_fields() -> None
 
 
 def test_an_inertia_that_is_fixed_or_drawn_does_not_follow_the_mass() -> None:
-    batch = JackInBoxVectorEnv(2, contact="exact", randomize={"jack_inertia": (1.0, 2.0), "jack_mass": (50.0, 60.0)})
-    batch.reset(seed=0)
+    batch = started(
+        JackInBoxVectorEnv(2, contact="exact", randomize={"jack_inertia": (1.0, 2.0), "jack_mass": (50.0, 60.0)}),
+        seed=0,
+    )
     assert all(1.0 <= scene.jack_inertia <= 2.0 < 50.0 <= scene.jack_mass for scene in batch.scenes)
-    fixed = JackInBoxEnv(scene={"jack_inertia": 3.0}, randomize={"jack_mass": (50.0, 60.0)})
-    fixed.reset(seed=0)
+    fixed = started(JackInBoxEnv(scene={"jack_inertia": 3.0}, randomize={"jack_mass": (50.0, 60.0)}), seed=0)
     assert fixed.scene.jack_inertia == 3.0

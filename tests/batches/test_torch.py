@@ -9,7 +9,7 @@ import torch
 
 import jackbox_env.torch
 from jackbox_env import Scene, rollout
-from tests.states import inside
+from tests.states import inside, started
 
 SCENES = [Scene(jack_mass=mass, torque_limit=limit) for mass, limit in ((4.0, 9e4), (7.0, 5e4))] * 4
 
@@ -40,8 +40,7 @@ def test_gradients_equal_differences_an_impact_among_them(task: str) -> None:
 
 @pytest.mark.parametrize("task", ["juggle", "spin"])
 def test_states_and_rewards_are_the_environments(task: str) -> None:
-    env = gym.make("JackInBox-v0", contact="exact", task=task)
-    env.reset(seed=0)
+    env = started(gym.make("JackInBox-v0", contact="exact", task=task), seed=0)
     state = torch.tensor(env.unwrapped.state)[None]  # type: ignore[attr-defined]
     for action in np.linspace(-1.5, 1.5, 100):
         state, reward, _ = jackbox_env.torch.step(None, state, torch.tensor([action]), task=task)

@@ -15,7 +15,7 @@ from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.exact import run as loop
 from jackbox_env.planning import rollouts
 from tests.batches.several import assert_same, play
-from tests.states import lying
+from tests.states import lying, started
 
 
 def test_the_same_arguments_mean_the_same_physics() -> None:
@@ -32,8 +32,9 @@ def test_long_work_that_pauses_comes_to_the_same(patience: float, monkeypatch: p
     strikes[0] = lying()  # work after which the call pauses; then the log is full of strikes
 
     def run() -> list[Any]:
-        env = JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True)
-        env.reset(seed=0)
+        env = started(
+            JackInBoxVectorEnv(200, contact="exact", max_episode_steps=30, num_threads=1, with_infos=True), seed=0
+        )
         torques = np.random.default_rng(0).uniform(-9e4, 9e4, (3, 100))
         lin = jackbox_env.linearize({"restitution": 0.5}, strikes, np.zeros((32, 50)), 0.02)
         return [

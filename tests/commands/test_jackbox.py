@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env.commands import check
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.tools.command_line import command_line
@@ -41,10 +40,8 @@ def test_files_are_written_wherever_the_output_leads(tmp_path: Path, leads: str,
     assert lines == ["standard output, or a file, cannot be used: No space left on device"] * (status == 2)
 
 
-def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["jackbox check"])
-    check.main()
-    out = capsys.readouterr().out
+def test_check_passes_here(tmp_path: Path) -> None:
+    out = jackbox("check", cwd=tmp_path).stdout
     assert out.count("ok      ") == 6
     assert "derivatives: ready after" in out
     extras = [line.split()[1] for line in out.splitlines() if line.startswith("  extra")]
@@ -52,7 +49,7 @@ def test_check_passes_here(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert "over 3 impacts energy and work agree" in out
 
 
-def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_sees_another_law_of_impact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stepped = ExactSimulator.stepped
 
     def other(self: ExactSimulator, dt: float, torque: float | None) -> StepResult:
@@ -61,11 +58,7 @@ def test_check_sees_another_law_of_impact(capsys: pytest.CaptureFixture[str], mo
         return result._replace(state=wrong) if result.impacts else result
 
     monkeypatch.setattr(ExactSimulator, "stepped", other)
-    monkeypatch.setattr(sys, "argv", ["jackbox check"])
-    with pytest.raises(SystemExit) as ended:
-        check.main()
-    assert ended.value.code == 1
-    out = capsys.readouterr().out
+    out = jackbox("check", cwd=tmp_path, status=1).stdout
     assert re.search("FAILED  exact model, law: RuntimeError: over 3 impacts .* differ by .*e-0[678] ", out)
     assert out.count("ok      ") == 5
 

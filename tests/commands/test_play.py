@@ -17,9 +17,9 @@ from jackbox_env.commands.game import read_game, write_game
 from scripts.site.build import ensure_page
 from tests.browser import Opened
 from tests.script import jackbox
+from tests.states import started
 
 REST = [0.0] * 12
-ROOT = Path(__file__).parents[2]
 
 
 class Page(Opened):
@@ -231,8 +231,7 @@ def test_the_plots_of_a_question_are_on_the_screen_and_read_under_the_pointer(op
     box = plots.bounding_box()
     lasts = wait_for(opened.page, "clock", r"\.[0-9]{2}$")  # a paused clock has hundredths
     second = (box["width"] - 52) / lasts  # of the axis, in pixels: the plots have margins of 46 and 6
-    simulator = make_simulator({"drive": None}, contact="exact")
-    simulator.reset(REST)
+    simulator = started(make_simulator({"drive": None}, contact="exact"), REST)
     middles = [plots.locator("canvas").nth(panel).bounding_box()["y"] + 40 for panel in (2, 3)]
     for time, plot in ((6.0, 0), (7.0675, 1), (7.1, 0)):  # an impact, and a tenth beside it
         simulator.step(time - simulator.time)
@@ -252,8 +251,7 @@ def test_a_resting_foot_is_no_bounce(opened: Page) -> None:
     opened.page.select_option("#lesson", "2")
     opened.page.locator("#rest").wait_for()
     counted = opened.page.locator("#hits").inner_text()
-    simulator = make_simulator({"restitution": 0.5, "drive": None}, contact="exact")
-    simulator.reset(REST)
+    simulator = started(make_simulator({"restitution": 0.5, "drive": None}, contact="exact"), REST)
     bounces = 0
     for _ in range(160):
         impacts = simulator.step(0.02).impacts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
 import re
@@ -27,8 +26,8 @@ from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.exact import ExactSimulator
 from tests.script import jackbox
+from tests.states import started
 
-ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {"jack_mass": 5.0, "gravity": 3.7, "torque_limit": 60000.0, "box_mass": 500.0}
 START = sample_start(Scene(**SCENE), np.random.default_rng(3)).tolist()
 SHARES = [None] * 200 + [0.25] * 150 + [-0.0] * 3 + [0.0] * 50 + np.linspace(-1.0, 1.0, 197).tolist()
@@ -57,8 +56,7 @@ def decoded(name: str, kind: str) -> list[Any]:
 
 
 def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
-    simulator, number, checks = make_simulator(SCENE, "exact"), 0xCBF29CE484222325, bytearray()
-    simulator.reset(GAME["start"])
+    simulator, number, checks = started(make_simulator(SCENE, "exact"), START), 0xCBF29CE484222325, bytearray()
     for share, count in zip(decoded("shares", "d"), decoded("counts", "H"), strict=True):
         for _ in range(count % 32768):
             simulator.step(0.02, None if count >= 32768 else share * SCENE["torque_limit"])
@@ -73,8 +71,10 @@ def test_a_text_has_the_runs_of_torques_and_the_hash_of_all_states() -> None:
 def test_a_text_or_link_replays_with_the_environments_rewards(link: bool) -> None:
     shared = read_game(f"https://a.b/play.html#{quote(text())}" if link else text())
     assert (repr(shared.shares), shared.start.tolist(), shared.task) == (repr(SHARES), START, "rattle")
-    env: Any = gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, episode_steps=None)
-    env.reset(options={"state": START})
+    env: Any = started(
+        gym.make("JackInBox-v0", fidelity="exact", task="rattle", scene=SCENE, episode_steps=None),
+        options={"state": START},
+    )
     rewards = [env.step(None if share is None else np.array([share]))[1] for share in SHARES]
     assert sum(map(abs, rewards)) > 1.0
     assert replay_game(shared) == (None, rewards)
@@ -114,8 +114,7 @@ def test_a_game_may_last_as_long_as_the_longest_text_of_the_page() -> None:
 
 
 def test_a_replay_ends_where_its_work_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    simulator, work = ExactSimulator(Scene(**SCENE)), 0.0
-    simulator.reset(START)
+    simulator, work = started(ExactSimulator(Scene(**SCENE)), START), 0.0
     for _ in range(200):
         simulator.step(0.02)
         work += simulator.evaluations
@@ -155,8 +154,7 @@ def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
         header, *lines, last = csv.reader(file)
     states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
     assert header == ["time [s]", *states, "torque [N m]", "impacts", "impulse [N s]", "reward"]
-    simulator, rewards = make_simulator(SCENE, "exact"), replay_game(read_game(text()))[1]
-    simulator.reset(START)
+    simulator, rewards = started(make_simulator(SCENE, "exact"), START), replay_game(read_game(text()))[1]
     for line, share, reward in zip(lines, SHARES[:599], rewards[:599], strict=True):
         before = simulator.time, *simulator.state.tolist()
         _, _, torque, impacts = simulator.step(0.02, None if share is None else share * SCENE["torque_limit"])
@@ -199,7 +197,7 @@ def test_play_opens_its_page_or_says_that_it_cannot_and_writes_a_new_file(
 
 
 def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     build = pytest.importorskip("scripts.site.build")
     page = build.ensure_page()
@@ -207,9 +205,7 @@ def test_without_a_folder_to_write_to_the_page_is_in_a_temporary_one(
     for owner in (play, build):
         monkeypatch.setattr(owner, "PAGE", tmp_path / "file" / "play.html")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["jackbox play", "--no-browser"])
-    importlib.import_module("scripts.play").main()
-    out, err = capsys.readouterr()
+    out, err = jackbox("play", "--no-browser", cwd=tmp_path)
     assert Path(out.strip()).read_bytes() == page.read_bytes()
     assert Path(out.strip()).is_relative_to(tmp_path)
     assert "file/play.html cannot be written (Not a directory): the page is in a temporary folder" in err

@@ -16,7 +16,7 @@ from jackbox_env.mechanics import gaps
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import write_page
 from jackbox_env.recording.recorder import Recorder
-from jackbox_env.recording.samples import SPACING, Samples, samples_of
+from jackbox_env.recording.samples import SPACING, samples_of
 from jackbox_env.recording.simulation import recorded
 from jackbox_env.simulators import Impact
 from jackbox_env.simulators.fidelity import resolve
@@ -24,11 +24,6 @@ from jackbox_env.simulators.fidelity import resolve
 
 def run(scene: Scene, seconds: float = 3.0, dt: float = 0.02, **model: Any) -> Motion:
     return recorded(scene, resolve(**model), [0.0] * 12, 0.0, seconds, dt, None)
-
-
-def at_impacts(samples: Samples) -> list[int]:
-    """Numbers of the samples just before an impact."""
-    return np.flatnonzero(np.diff(samples.times) == 0.0).tolist()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import itertools
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,58 +12,49 @@ import pytest
 
 from jackbox_env import Scene, make_simulator
 from jackbox_env.commands import simulate
+from tests.script import Done, jackbox
+from tests.states import started
 
 
-def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *arguments: str) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["jackbox simulate", "--no-plots", *arguments])
-    simulate.main()
+def run(tmp_path: Path, *arguments: str, status: int = 0) -> Done:
+    return jackbox("simulate", "--no-plots", *arguments, cwd=tmp_path, status=status)
 
 
-def test_ctrl_c_leaves_no_folder_and_prints_a_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_leaves_no_folder_and_prints_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(folder: Path, *_: object) -> None:
         (folder / "states.csv").touch()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(simulate, "_write", interrupted)
-    with pytest.raises(SystemExit, match="130"):
-        run(monkeypatch, tmp_path, "--folder", "out")
-    assert "nothing was written" in capsys.readouterr().err
+    assert "nothing was written" in run(tmp_path, "--folder", "out", status=130).stderr
     assert not list(tmp_path.iterdir())
 
 
-def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path) -> None:
     scene = ["--scene", '{"restitution": 0.3, "drive": null}', "--fidelity", "balanced"]
-    run(monkeypatch, tmp_path, "--seconds", "2", *scene, "--folder", "out")
+    run(tmp_path, "--seconds", "2", *scene, "--folder", "out")
     with (tmp_path / "out" / "states.csv").open() as file:
         rows = [[float(cell) for cell in row[:13]] for row in list(csv.reader(file))[1:]]
     deep = next(row for row in rows if row[5] - row[2] < -5.0 - 1e-8)  # a foot is outside
-    run(monkeypatch, tmp_path, "--seconds", "1", "--state", json.dumps(deep[1:]))
+    run(tmp_path, "--seconds", "1", "--state", json.dumps(deep[1:]))
     (again,) = (tmp_path / "runs").glob("simulate-*/states.csv")
     with again.open() as file:
         assert [float(cell) for cell in list(csv.reader(file))[1][1:13]] == deep[1:]
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of imageio
-def test_a_film_shows_the_motion_at_any_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_film_shows_the_motion_at_any_step(tmp_path: Path) -> None:
     imageio = pytest.importorskip("imageio.v3")
     options = ["--seconds", "0.6", "--dt", "0.3", "--state", "y_jack=-4.5", "--folder", "out"]
-    run(monkeypatch, tmp_path, *options, "--film", "run.mp4")
+    out, err = run(tmp_path, *options, "--film", "run.mp4")
     frames = imageio.imread(tmp_path / "run.mp4")
     assert len(frames) == 16  # at 0, 0.04, ... 0.6 s; an impact is at 0.32 s
     assert all((one != other).any() for one, other in itertools.pairwise(frames))  # it never stands still
-    out, err = capsys.readouterr()
     assert "  run.mp4" in out.splitlines()
     assert "frame" not in err  # no bar, as this is no terminal
 
 
-def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(tmp_path: Path) -> None:
     options = [
         "--seconds",
         "0.1",
@@ -75,8 +65,8 @@ def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
         "--box-mass",
         "9",
     ]
-    run(monkeypatch, tmp_path, *options, "--folder", "csv")
-    run(monkeypatch, tmp_path, *options, "--folder", "npz", "--format", "npz")
+    run(tmp_path, *options, "--folder", "csv")
+    run(tmp_path, *options, "--folder", "npz", "--format", "npz")
     scene = Scene(drive=None, jack_inertia=3.0, jack_mass=5.0, box_mass=9.0)
     fields = json.loads((tmp_path / "csv" / "scene.json").read_text())
     assert fields == json.loads(np.load(tmp_path / "npz" / "trajectory.npz")["scene"].item())
@@ -85,23 +75,20 @@ def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(
     assert "box_inertia" not in fields
 
 
-def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(tmp_path: Path) -> None:
     start = ["--state", "x_jack=1, vy_jack=-9", "--dt", "0.05"]
     (tmp_path / "kicks.csv").write_text("torque [N m]\n" + "3e4\n" * 20 + "-5e4\n" * 20)
-    run(monkeypatch, tmp_path, *start, "--torque", "kicks.csv", "--folder", "kicked", "--html")
-    simulator = make_simulator(fidelity="exact")
-    simulator.reset([0.0, 0.0, 0.0, 1.0] + [0.0] * 6 + [-9.0, 0.0])
+    run(tmp_path, *start, "--torque", "kicks.csv", "--folder", "kicked", "--html")
+    simulator = started(make_simulator(fidelity="exact"), [0.0, 0.0, 0.0, 1.0] + [0.0] * 6 + [-9.0, 0.0])
     for step in range(40):
         simulator.step(0.05, 3e4 if step < 20 else -5e4)
     for number, torque in enumerate(["kicked/states.csv", "0/trajectory.npz"]):  # what it wrote it reads
         options = "--torque", torque, "--format", "npz", "--folder", str(number)
-        run(monkeypatch, tmp_path, *start, *options)
+        run(tmp_path, *start, *options)
         arrays = np.load(tmp_path / str(number) / "trajectory.npz")
         np.testing.assert_array_equal(arrays["state"][-1], simulator.state)
     assert "Torques of kicks.csv" in (tmp_path / "kicked" / "trajectory.html").read_text()
-    run(monkeypatch, tmp_path, *start, "--torque", "none", "--format", "npz", "--folder", "calm")
+    run(tmp_path, *start, "--torque", "none", "--format", "npz", "--folder", "calm")
     calm = np.load(tmp_path / "calm" / "trajectory.npz")
     assert len(calm["torque"]) == 200
     assert not calm["torque"].any()

@@ -15,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 from jackbox_env import Chirp, JackInBoxEnv, Scene, make_simulator
 from jackbox_env.model.observation import BOUNDS, observe
+from tests.states import started
 
 make: Any = functools.partial(gym.make, "JackInBox-v0")
 
@@ -70,8 +71,7 @@ def test_an_observation_equals_the_documented_table() -> None:
 
 
 def test_observations_are_clipped_and_info_is_raw() -> None:
-    env, state = make(), np.zeros(12)
-    state[6:] = [0.0, 0.0, -400.0, 500.0, -500.0, 9000.0]
+    env, state = make(), np.array([0.0] * 8 + [-400.0, 500.0, -500.0, 9000.0])
     observation, info = env.reset(options={"state": state})
     np.testing.assert_array_equal(observation[[2, 3, 6, 9]], [10.0, -10.0, -10.0, 10.0])
     assert observation in env.observation_space
@@ -84,8 +84,7 @@ def test_observations_are_clipped_and_info_is_raw() -> None:
 
 
 def test_none_is_the_chirp_and_an_action_is_the_agents_torque_instead() -> None:
-    env = make()
-    env.reset(options={"state": np.zeros(12), "time": 3.0})
+    env = started(make(), options={"state": np.zeros(12), "time": 3.0})
     *_, info = env.step(np.array([0.25], dtype=np.float32))
     assert (info["torque"], info["time"]) == (22500.0, 3.02)
     assert info["state"][8] == pytest.approx(22500.0 / 14400.0 * 0.02)
@@ -103,8 +102,8 @@ def test_an_action_is_a_share_of_the_torque_limit_and_is_clipped(action: Any, to
 
 def test_the_environment_steps_what_the_simulator_steps() -> None:
     scene = Scene(box_half_width=3.0, jack_arm=0.5)
-    env, simulator = make(scene=scene, control_dt=0.05, substeps=7), make_simulator(scene, substeps=7)
-    simulator.reset(env.reset(seed=1)[1]["state"])
+    env = make(scene=scene, control_dt=0.05, substeps=7)
+    simulator = started(make_simulator(scene, substeps=7), env.reset(seed=1)[1]["state"])
     for action in np.random.default_rng(0).uniform(-1, 1, 100).astype(np.float32):
         info = env.step(np.array([action]))[4]
         expected = simulator.step(0.05, float(action) * 90000.0)

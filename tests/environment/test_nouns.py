@@ -17,7 +17,7 @@ from jackbox_env.simulators.agent_functions import observed
 from tests.batches.alike import Alike
 from tests.batches.drawn import SEEN
 from tests.batches.several import EVERY_MODEL, SHAKEN, TURNED, assert_same
-from tests.states import inside
+from tests.states import at, inside, started
 
 LANDINGS: dict[str, Any] = {"action": "landing", "action_repeat": "bounce"}
 
@@ -30,10 +30,8 @@ def made(**settings: Any) -> gym.Env[Any, Any]:
 @pytest.mark.parametrize("repeat", [4, "bounce"])
 def test_a_decision_adds_up_its_control_steps(contact: str, repeat: Repeats) -> None:
     settings: dict[str, Any] = {"contact": contact, "task": "rattle", "scene": {"gravity": 30.0}}
-    env: Any = JackInBoxEnv(action_repeat=repeat, **settings)
-    single: Any = JackInBoxEnv(**settings)
-    env.reset(seed=2)
-    single.reset(seed=2)
+    env: Any = started(JackInBoxEnv(action_repeat=repeat, **settings), seed=2)
+    single: Any = started(JackInBoxEnv(**settings), seed=2)
     for share in (0.3, None, -0.8, None, 0.1, 0.9):
         last, reward, _, _, info = env.step(share)
         steps = round(info["duration"] / 0.02)
@@ -56,10 +54,10 @@ def test_a_decision_adds_up_its_control_steps(contact: str, repeat: Repeats) -> 
 @pytest.mark.parametrize("turns", [0, 3])
 @pytest.mark.parametrize(("angle", "rate"), [(0.0, 0.0), (0.8, -0.4), (-0.6, 0.6)])
 def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate: float, turns: int) -> None:
-    env = made(contact="exact", action="landing", scene={"gravity": 3.0, "torque_limit": 1e6})
-    state = np.zeros(12)
-    state[2], state[4] = turns * math.pi / 2.0, 2.0
-    env.reset(options={"state": state})
+    env = started(
+        made(contact="exact", action="landing", scene={"gravity": 3.0, "torque_limit": 1e6}),
+        options={"state": at(theta_box=turns * math.pi / 2.0, y_jack=2.0)},
+    )
     landing, time = math.sqrt(2.0 * 7.0 / 3.0), 0.0  # 7 m further down a foot would touch a level floor
     while landing - time > 0.03:
         _, _, _, _, info = env.step([angle, rate])
@@ -71,17 +69,17 @@ def test_the_box_strikes_the_falling_jack_as_the_action_sets(angle: float, rate:
 
 
 def test_decisions_last_while_a_foot_rests_without_impacts_and_in_long_steps() -> None:
-    resting: Any = JackInBoxEnv(contact="exact", scene={"restitution": 0.0, "torque_limit": 1e-3}, **LANDINGS)
-    start = np.zeros(12)
-    start[4], start[5] = -5.0, 0.25 * math.pi
-    resting.reset(options={"state": start})
+    resting: Any = started(
+        JackInBoxEnv(contact="exact", scene={"restitution": 0.0, "torque_limit": 1e-3}, **LANDINGS),
+        options={"state": at(y_jack=-5.0, theta_jack=0.25 * math.pi)},
+    )
     durations = [resting.step([0.0, 0.0])[4]["duration"] for _ in range(12)]
     assert durations[-5:] == pytest.approx([0.4] * 5), durations
-    floating: Any = JackInBoxEnv(contact="exact", scene={"gravity": 0.0}, **LANDINGS)
-    floating.reset(options={"state": np.zeros(12)})
+    floating: Any = started(
+        JackInBoxEnv(contact="exact", scene={"gravity": 0.0}, **LANDINGS), options={"state": np.zeros(12)}
+    )
     assert floating.step([1.0, 0.0])[4]["duration"] == pytest.approx(2.0)
-    coarse: Any = JackInBoxEnv(contact="exact", control_dt=2.5, **LANDINGS)
-    coarse.reset(seed=0)
+    coarse: Any = started(JackInBoxEnv(contact="exact", control_dt=2.5, **LANDINGS), seed=0)
     assert coarse.step([0.0, 0.0])[4]["duration"] == pytest.approx(2.5)
 
 
@@ -123,8 +121,7 @@ def test_decisions_that_last_longer_than_drives_are_read_ahead_are_those_of_sing
 
 
 def test_a_list_of_frames_has_all_control_steps_since_the_last_one() -> None:
-    env = made(render_mode="rgb_array_list", action_repeat=5, render_size=(32, 32))
-    env.reset(seed=0)
+    env = started(made(render_mode="rgb_array_list", action_repeat=5, render_size=(32, 32)), seed=0)
     assert env.metadata["render_fps"] == 50
     env.step(None)
     env.step(None)

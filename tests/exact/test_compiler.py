@@ -15,8 +15,8 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 
 from jackbox_env.exact import run
-from jackbox_env.exact.geometry import _TURNS, FARTHEST, LARGEST, cos_sin, cos_sin_within
-from jackbox_env.exact.pcg64 import fresh, packed, seeded, uniform
+from jackbox_env.exact.geometry import _TURNS, FARTHEST, ONE_REDUCTION, cos_sin, cos_sin_within
+from jackbox_env.exact.pcg64 import fresh, seeded, uniform, words_of
 from jackbox_env.jit import compiler
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.landing import QUARTER
@@ -54,12 +54,12 @@ RNG = np.random.default_rng(0)
 QUARTERS = np.arange(-40, 41) * (math.pi / 2.0)
 ANGLES = {
     "to the last place": [
-        *RNG.uniform(-10.0, 10.0, 300), *RNG.uniform(-LARGEST, LARGEST, 300), *QUARTERS, *(QUARTERS + 1e-9),
+        *RNG.uniform(-10.0, 10.0, 300), *RNG.uniform(-ONE_REDUCTION, ONE_REDUCTION, 300), *QUARTERS, *(QUARTERS + 1e-9),
         *np.ldexp(1.0, np.arange(-1074, 20)), *(RNG.integers(1, 600000, 300) * (math.pi / 2.0)), 0.0, -0.0,
     ],
     "after many turns": [
-        *10.0 ** RNG.uniform(6.0, 15.95, 500), *(RNG.integers(10**6, 10**12, 300) * (math.pi / 2.0)), LARGEST,
-        *(RNG.integers(10**4, 10**12, 300) * _TURNS), np.nextafter(FARTHEST, 0.0), np.nextafter(LARGEST, 0.0),
+        *10.0 ** RNG.uniform(6.0, 15.95, 500), *(RNG.integers(10**6, 10**12, 300) * (math.pi / 2.0)), ONE_REDUCTION,
+        *(RNG.integers(10**4, 10**12, 300) * _TURNS), np.nextafter(FARTHEST, 0.0), np.nextafter(ONE_REDUCTION, 0.0),
     ],
 }  # fmt: skip
 
@@ -100,7 +100,7 @@ def test_draws_are_those_of_numpys_generator(seed: int) -> None:
     bits = np.random.PCG64(seed)
     draw, words, generator = compiled(uniform), seeded(seed), np.random.Generator(bits)
     assert [draw(words) for _ in range(1000)] == generator.uniform(size=1000).tolist()
-    np.testing.assert_array_equal(words, packed(generator))
+    np.testing.assert_array_equal(words, words_of(generator))
 
 
 def test_unseeded_generators_differ_and_are_sound() -> None:

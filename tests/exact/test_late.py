@@ -42,7 +42,7 @@ def test_a_call_that_lacks_compiled_code_goes_on_with_the_same_bits(
         lacked.append(len(workspaces))
         return with_all(workspaces)
 
-    def whole(*arguments: Any) -> workspace.Memory:
+    def whole(*arguments: Any) -> workspace.ThreadMemory:
         memory = workspace.new_memory(*arguments)
         with_all(memory.workspaces)
         return memory

@@ -16,6 +16,7 @@ from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.envs.vector import JackInBoxVectorEnv
 from tests.batches.several import SHAKEN
 from tests.fingerprints import digest
+from tests.states import started
 
 
 def test_plain_python_gives_the_bits_of_the_compiled_code() -> None:
@@ -44,8 +45,7 @@ def played(restitution: float) -> list[str]:
     And of decisions until an impact, of which some wait for the restart of the only environment whose drive has pieces.
     """
     scene, rng = Scene(restitution=restitution), np.random.default_rng(0)
-    batch = JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=HEIGHT)
-    batch.reset(seed=3)
+    batch = started(JackInBoxVectorEnv(5, 40, contact="exact", scene=scene, with_infos=True, task=HEIGHT), seed=3)
     SCALE[0] = 2.0  # the task keeps what it read first
     stepped = [batch.step(rng.uniform(-1.0, 1.0, (5, 1))) for _ in range(60)]
     states = np.zeros((2, 12))
@@ -53,20 +53,19 @@ def played(restitution: float) -> list[str]:
     rollouts = rollout(scene, states, rng.uniform(-9e4, 9e4, (2, 60)), 0.02, rewards=HEIGHT, impacts=True, energy=True)
     assert rollouts.impacts is not None
     assert rollouts.impacts.sum(axis=1).min() > 0
-    env = JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=HEIGHT)
-    env.reset(seed=1)
+    env = started(JackInBoxEnv(contact="exact", scene=scene, torque="chirp", task=HEIGHT), seed=1)
     alone = [env.step(0.0)[:3] for _ in range(60)]
     shaken = Scene(drive=SHAKEN, gravity=20.0, restitution=restitution)
     nouns: Any = {
         "task": "rattle", "observation": "landing", "action": "landing", "action_repeat": "bounce",
         "episode_steps": 100,
     }  # fmt: skip
-    aimed = JackInBoxVectorEnv(2, contact="exact", scene=[shaken, scene], **nouns)
-    aimed.reset(seed=0)
+    aimed = started(JackInBoxVectorEnv(2, contact="exact", scene=[shaken, scene], **nouns), seed=0)
     decisions = [aimed.step(np.zeros((2, 2))) for _ in range(12)]
     assert any(infos["duration"][0] == 0.0 < infos["duration"][1] for *_, infos in decisions)
-    chosen = JackInBoxEnv(contact="exact", scene=scene, task="spin", action="discrete", action_repeat=3)
-    chosen.reset(seed=2)
+    chosen = started(
+        JackInBoxEnv(contact="exact", scene=scene, task="spin", action="discrete", action_repeat=3), seed=2
+    )
     lying = rollout(Scene(restitution=0.2, drive=None), -4.4 * np.eye(12)[4] + 0.7 * np.eye(12)[5], np.zeros(60), 0.02)
     assert lying[0][-1, 11] == pytest.approx(lying[0][-1, 8], abs=1e-12)  # two feet lie on a wall
     results: list[Iterable[object]] = [

@@ -1,4 +1,4 @@
-"""Measure the extremes with all the steps of their long runs, and write docs/extremes.md from the results.
+"""Measure the extremes with all the steps of their long runs, and write their table in docs/trust.md.
 
 ``python -m tests.extremes spins``: only cases with this word; the other rows stay as docs/extremes.jsonl has them.
 """
@@ -10,10 +10,12 @@ import sys
 from pathlib import Path
 
 from jackbox_env.simulators import CONTACT_MODELS
+from scripts.studies.pages import fill
 from tests.extremes.cases import CASES
 from tests.extremes.page import FAILS, page, read, recorded
 
 DOCS = Path(__file__).parents[2] / "docs"
+TRUST = DOCS / "trust.md"
 
 
 def main(words: str) -> None:
@@ -25,7 +27,7 @@ def main(words: str) -> None:
             finding = findings[case.what, contact] = case.measure(contact)
             print(f"{case.what}, {contact}\n    {finding.verdict}: {finding.seen}", flush=True)
             (DOCS / "extremes.jsonl").write_text(recorded(findings))
-            (DOCS / "extremes.md").write_text(page(findings))
+            TRUST.write_text(fill(TRUST.read_text(), "extremes", page(findings)))
     sys.exit(any(finding.verdict == FAILS for finding in findings.values()))
 
 

@@ -1,4 +1,4 @@
-"""The page of extremes: the finding of each case, as a row of docs/extremes.md.
+"""The page of extremes: the finding of each case, as a row of docs/trust.md.
 
 A case measures a contact model and returns a :class:`Finding`. The tests measure with few steps and assert;
 ``python -m tests.extremes`` measures with all and writes the page.
@@ -15,25 +15,6 @@ from typing import NamedTuple
 from jackbox_env.simulators import CONTACT_MODELS
 
 HOLDS, REFUSED, FAILS = "holds", "refused", "FAILS"
-MASSES, SLOW, MILLIONS = "Masses and inertias", "Slow impacts, and several at once", "Millions of steps"
-SPEEDS, STEPS, FORCES = "Spins and speeds", "Steps and arms", "Forces, times and places"
-LOSS, STARTS = "Loss", "Feet that start on a wall or behind it"
-
-HEAD = """
-`0.22 of 1 m` means 0.22 m with a bound of 1 m. A cell has the result that is closest to its bound;
-[extremes.jsonl](extremes.jsonl) has all. *refused*: the call raises this error and changes nothing. *FAILS*: a result
-beyond its bound.
-
-Errors without a unit, of momentum, energy and rates (the six velocities), are relative to the largest of their kind.
-Rates are compared with the impact map, or with the simultaneous law if several feet touch.
-
-`pymunk` applies an impact at the end of its substep, which is a quarter of a step by default and shorter at high
-speed. If a foot enters and leaves a wall within a substep, the impact is missed. `exact` locates impacts to rounding,
-also to that of large angles: a foot may be outside by 5e-10 L at 1e6 rad, 5e-4 L at 1e12 rad.
-
-Unless a row differs, the box has the half width L = 6 m and 400 kg, the jack has arms of 1 m and 4 kg, both start at
-several m/s and rad/s, and there is neither gravity nor torque.
-"""
 
 
 class Finding(NamedTuple):
@@ -48,9 +29,8 @@ Measure = Callable[[str], Finding]
 
 
 class Case(NamedTuple):
-    """A row of the page: the table it is in, what is simulated, and its measurement."""
+    """A row of the page: what is simulated, and its measurement."""
 
-    part: str
     what: str
     measure: Measure
 
@@ -58,11 +38,11 @@ class Case(NamedTuple):
 CASES: list[Case] = []
 
 
-def case(part: str, what: str) -> Callable[[Measure], Measure]:
-    """Give a decorator that makes a measurement a row of the table of this title."""
+def case(what: str) -> Callable[[Measure], Measure]:
+    """Give a decorator that makes a measurement a row of the table."""
 
     def add(measure: Measure) -> Measure:
-        CASES.append(Case(part, what, measure))
+        CASES.append(Case(what, measure))
         return measure
 
     return add
@@ -138,19 +118,10 @@ def answer(findings: Findings) -> str:
 
 
 def page(findings: Findings) -> str:
-    """docs/extremes.md, of the rows that are recorded."""
-    lines, part = ["# Extremes", "", answer(findings), HEAD.rstrip()], ""
+    """The part of docs/trust.md on extremes, of the rows that are recorded."""
+    lines = [answer(findings), "", f"| what | {' | '.join(CONTACT_MODELS)} |", "|---|" + "---|" * len(CONTACT_MODELS)]
     for case in CASES:
-        if case.part != part:
-            part = case.part
-            lines += [
-                "",
-                f"## {part}",
-                "",
-                f"| what | {' | '.join(CONTACT_MODELS)} |",
-                "|---|" + "---|" * len(CONTACT_MODELS),
-            ]
         row = [findings.get((case.what, contact), Finding("", "not measured")) for contact in CONTACT_MODELS]
         cells = [case.what, *(closest(one) for one in row)]
         lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Every case of docs/extremes.md against both contact models, and the page against its record."""
+"""Every case of the extremes in docs/trust.md against both contact models, and the page against its record."""
 
 from __future__ import annotations
 
@@ -34,4 +34,4 @@ def test_the_page_is_that_of_the_record() -> None:
     findings = read(DOCS / "extremes.jsonl")
     assert {what for what, _ in findings} == {case.what for case in CASES}
     assert (DOCS / "extremes.jsonl").read_text() == recorded(findings)
-    assert (DOCS / "extremes.md").read_text() == page(findings)
+    assert page(findings) in (DOCS / "trust.md").read_text()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene
 from jackbox_env.exact.geometry import _QUARTER_HIGH
-from jackbox_env.exact.pcg64 import seeded, unpacked
+from jackbox_env.exact.pcg64 import generator_of, seeded
 from jackbox_env.model.tasks import TASKS, sample_start
 from scripts.site.build import HERE, ROOT, ensure_page
 from scripts.site.entries import MOST_IMPACTS
@@ -63,7 +63,7 @@ def by_python(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     keywords: dict[str, Any] = {"task": case.task, "control_dt": case.dt, "observation": "landing"}
     env: Any = gym.make("JackInBox-v0", scene=scene, contact="exact", **keywords).unwrapped
     env.reset()
-    env.set_state(sample_start(scene, unpacked(seeded(1))))
+    env.set_state(sample_start(scene, generator_of(seeded(1))))
     numbers, observations = list[float](), list[NDArray[np.float32]]()
     for share in shares(case):
         observation, reward, *_, info = env.step(None if share is None else [share])

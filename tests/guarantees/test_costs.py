@@ -25,6 +25,7 @@ from jackbox_env.exact.workspace import new_log
 from jackbox_env.jit import compiler as _compiled
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
+from tests.states import started
 
 PYMUNK, EXACT, BATCH = "pymunk", "exact", "exact, batch"
 STEPS = 60  # counted
@@ -104,8 +105,7 @@ def count_steps(model: str, driven: bool = False, frames: bool = False, **settin
 
     make: Any = partial(JackInBoxVectorEnv, SIDE_BY_SIDE) if model == BATCH else JackInBoxEnv
     with uncompiled():
-        env = make(contact=contact, **settings)
-        env.reset(options={"state": np.array(_START)})
+        env = started(make(contact=contact, **settings), options={"state": np.array(_START)})
 
         def run() -> None:
             for action in actions:
@@ -182,8 +182,7 @@ WEIGHTLESS, UNDRIVEN = Scene(gravity=0.0), Scene(drive=None)
 def counted(contact: str, scene: Scene, state: Any, torque: float | None = 1e4) -> Calls:
     """Calls of one step of a simulator from ``state``, nothing compiled."""
     with uncompiled():
-        simulator = make_simulator(scene, contact)
-        simulator.reset(state)
+        simulator = started(make_simulator(scene, contact), state)
         return calls_of(lambda: simulator.step(0.02, torque))
 
 
@@ -218,8 +217,9 @@ def test_no_wall_is_checked_in_mid_air(contact: str, function: str) -> None:
 def test_a_batch_records_no_impacts(monkeypatch: pytest.MonkeyPatch) -> None:
     for room in (0, 8):
         monkeypatch.setattr(workspace, "new_log", lambda _, wide, room=room: new_log(room, wide))
-        batch = JackInBoxVectorEnv(4, contact="exact", num_threads=1, with_infos=True)
-        batch.reset(options={"state": NEAR_A_WALL})
+        batch = started(
+            JackInBoxVectorEnv(4, contact="exact", num_threads=1, with_infos=True), options={"state": NEAR_A_WALL}
+        )
         assert (batch.step(np.zeros(4))[4]["impacts"] > 0).all()
         ((_, _, log),) = [call.memory for call in batch._batch._calls[0]]  # type: ignore
         assert len(log) == room

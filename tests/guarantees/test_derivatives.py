@@ -14,7 +14,7 @@ from jackbox_env.jit.compiler import compiled, compiled_with
 from tests.batches.several import assert_same
 from tests.fingerprints import DRIVES
 from tests.simulators.exact_runs import simulator
-from tests.states import Array, inside, load, lying
+from tests.states import Array, at, inside, load, lying
 
 FIELDS = tangents.FIELDS
 CASES = load("derivatives")
@@ -93,9 +93,7 @@ def test_products_forward_and_backward_agree(case: dict[str, Any]) -> None:
 
 def upright(height: float, fall: float = 0.0) -> Array:
     """A jack upright over the middle of the floor, its foot at a height [m], falling at a rate [m/s]."""
-    state = np.zeros(12)
-    state[4], state[10] = height - 5.0, -fall
-    return state
+    return at(y_jack=height - 5.0, vy_jack=-fall)
 
 
 def test_the_time_of_an_impact_in_closed_form() -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Observation, Scene, Task, TaskError, make_simulator
 from jackbox_env.model.tasks import sample_start
+from tests.states import started
 
 FALLING = np.array([0.0, 0, 0, 3.0, -4.9, 0, 0, 0, 0, 0, -10, 0])  # a foot strikes the floor within the first step
 LOST, UNREWARDED = 1.0, 5e-15  # shares of the torque limit that raise
@@ -47,12 +48,12 @@ def made(kind: str, steps: int = 10) -> Any:
         "contact": contact, "scene": SCENE, "task": TASK, "observation": "pixels-16x16x2", "render_mode": shown,
     }  # fmt: skip
     if "batch" not in kind:
-        env = JackInBoxEnv(**settings, render_size=(64, 64))
-        env.reset(seed=0, options={"state": FALLING})
+        env = started(JackInBoxEnv(**settings, render_size=(64, 64)), seed=0, options={"state": FALLING})
         env.step(0.0)
         return env
-    envs = JackInBoxVectorEnv(2, steps, "SAME_STEP", **settings, render_size=(64, 64))
-    envs.reset(seed=0, options={"state": FALLING})
+    envs = started(
+        JackInBoxVectorEnv(2, steps, "SAME_STEP", **settings, render_size=(64, 64)), seed=0, options={"state": FALLING}
+    )
     envs.step(np.zeros(2))
     return envs
 
@@ -136,8 +137,7 @@ def test_a_restart_that_is_refused_within_a_step_changes_nothing(kind: str, monk
 def test_a_refused_call_of_a_simulator_changes_nothing(
     contact: str, call: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulator = make_simulator(SCENE, contact)
-    simulator.reset(FALLING)
+    simulator = started(make_simulator(SCENE, contact), FALLING)
     simulator.step(0.02, 5.0)
     before = simulator.state.tobytes(), simulator.time, simulator.torque, simulator.impacts
     monkeypatch.setitem(BAD, "raise", True)
@@ -168,9 +168,9 @@ def test_a_refused_start_in_another_scene_changes_no_picture() -> None:
     def height(scene: Any, state: Any, time: float) -> Any:
         return (math.nan if scene.box_half_width == 9.0 else state.y_jack,)
 
-    envs = JackInBoxVectorEnv(2, contact="pymunk", observation=Observation(("y",), -1.0, 1.0, height),
-                              render_mode="rgb_array", render_size=(64, 64))  # fmt: skip
-    envs.reset(seed=0, options={"state": FALLING})
+    envs = started(JackInBoxVectorEnv(2, contact="pymunk", observation=Observation(("y",), -1.0, 1.0, height),
+                              render_mode="rgb_array", render_size=(64, 64)), seed=0,
+                   options={"state": FALLING})  # fmt: skip
     for _ in range(2):  # what is restored may be restored again
         before = shown(envs)
         with pytest.raises(TaskError):

@@ -33,7 +33,7 @@ from jackbox_env.jit import compiler
 from jackbox_env.simulators import CONTACT_MODELS, Simulator, contacts
 from jackbox_env.tools.signals import uninterrupted
 from tests.guarantees import interrupting_compiler
-from tests.states import WEIGHTLESS, lying
+from tests.states import WEIGHTLESS, at, lying, started
 
 INTERRUPTS = int(os.environ.get("JACKBOX_INTERRUPTS", "250"))
 ACTIONS = np.array([-0.5, 1.0])
@@ -42,9 +42,7 @@ ACTIONS = np.array([-0.5, 1.0])
 def made(contact: str = "exact", num_envs: int = 2, **settings: Any) -> JackInBoxVectorEnv:
     """Environments of which every step ends the episode and draws another scene."""
     settings["randomize"] = {"gravity": (1.0, 9.0)}
-    env = JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, **settings)
-    env.reset(seed=0)
-    return env
+    return started(JackInBoxVectorEnv(num_envs, 1, "SAME_STEP", num_threads=2, contact=contact, **settings), seed=0)
 
 
 def shown(env: JackInBoxVectorEnv) -> list[bytes]:
@@ -106,9 +104,8 @@ def test_a_call_interrupted_at_any_line_changes_nothing_or_all(contact: str, obs
 
 @pytest.mark.parametrize("contact", CONTACT_MODELS)
 def test_a_simulators_step_interrupted_at_any_line_changes_nothing_or_all(contact: str) -> None:
-    begun, start = make_simulator(Scene(jack_arm=2.0, restitution=0.3), contact), np.zeros(12)
-    start[[5, 9, 11]] = 0.3, 6.0, 2.0
-    begun.reset(start)
+    scene = Scene(jack_arm=2.0, restitution=0.3)
+    begun = started(make_simulator(scene, contact), at(theta_jack=0.3, vx_jack=6.0, omega_jack=2.0))
     while not begun.impacts:  # the next steps have more
         begun.step(0.02, 2e4)
 
@@ -132,8 +129,7 @@ def test_an_interruption_while_the_engine_calls_back_is_raised(monkeypatch: pyte
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    simulator = make_simulator(WEIGHTLESS, "pymunk")
-    simulator.reset(0.1 * np.eye(12)[5] + 300.0 * np.eye(12)[9])
+    simulator = started(make_simulator(WEIGHTLESS, "pymunk"), 0.1 * np.eye(12)[5] + 300.0 * np.eye(12)[9])
     monkeypatch.setattr(contacts, "Impact", interrupt)
     with pytest.raises(KeyboardInterrupt):
         simulator.step(0.02)
@@ -161,8 +157,7 @@ def test_an_interruption_of_a_long_step_is_noticed_soon(
 ) -> None:
     # Jacks at rest cost most, and 80,000 turns of a chirp within a step, computed for each row because their times
     # differ. Compiled code checks for no signal: it has to return after a part of the step, the chirp's of a block.
-    env = JackInBoxVectorEnv(count, contact="exact", scene=scene, num_threads=1)
-    env.reset(seed=0)
+    env = started(JackInBoxVectorEnv(count, contact="exact", scene=scene, num_threads=1), seed=0)
     states = np.tile(np.zeros(12) if scene.drive else lying(), (count, 1))
     states[:, 3] = np.linspace(-4.0, 4.0, count)
     env.set_states(states, np.linspace(0.0, 1.0, count))

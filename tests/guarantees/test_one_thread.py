@@ -14,6 +14,7 @@ import pytest
 
 from jackbox_env import Drive, JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator
 from jackbox_env.tools.one_thread import ThreadNote
+from tests.states import started
 
 
 class Torque:
@@ -33,20 +34,20 @@ class Torque:
 
 
 def simulator(contact: str, scene: Scene) -> tuple[Any, Callable[[], Any], list[Callable[[], Any]]]:
-    made = make_simulator(scene, contact)
-    made.reset(np.zeros(12))
+    made = started(make_simulator(scene, contact), np.zeros(12))
     return made, lambda: made.step(0.02), [lambda: made.step(0.02), lambda: made.reset(np.zeros(12))]
 
 
 def single(contact: str, scene: Scene) -> tuple[Any, Callable[[], Any], list[Callable[[], Any]]]:
-    env = JackInBoxEnv(contact=contact, scene=scene)
-    env.reset(seed=0)
+    env = started(JackInBoxEnv(contact=contact, scene=scene), seed=0)
     return env, lambda: env.step(None), [lambda: env.step(None), env.reset, lambda: env.set_state(np.zeros(12))]
 
 
 def batch(contact: str, scene: Scene) -> tuple[Any, Callable[[], Any], list[Callable[[], Any]]]:
-    env = JackInBoxVectorEnv(2, contact=contact, scene=scene, render_mode="rgb_array" if contact == "pymunk" else None)
-    env.reset(seed=0)
+    env = started(
+        JackInBoxVectorEnv(2, contact=contact, scene=scene, render_mode="rgb_array" if contact == "pymunk" else None),
+        seed=0,
+    )
     refused: list[Callable[[], Any]] = [
         lambda: env.step(None), env.reset, lambda: env.set_states(np.zeros(12), 0.0), lambda: env.impacts(0),
         lambda: env.observations,

@@ -13,19 +13,16 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import clearance
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.pymunk import PymunkSimulator
-from tests.states import WEIGHTLESS, inside
+from tests.states import WEIGHTLESS, at, inside, started
 
 # -- impacts -----------------------------------------------------------------------------------------------------------
 
 
 def test_position_correction_would_move_bodies_that_the_law_does_not() -> None:
     # Foot 0 is 0.5 m outside and leaves at 0.1 m/s. The engine's default correction pushes it out of the wall.
-    deep = np.zeros(12)
-    deep[[3, 9]] = 5.5, -0.1
-    lawful, corrected = PymunkSimulator(WEIGHTLESS), PymunkSimulator(WEIGHTLESS)
+    lawful, corrected = (started(PymunkSimulator(WEIGHTLESS), at(x_jack=5.5, vx_jack=-0.1)) for _ in range(2))
     corrected._space.collision_bias = pymunk.Space().collision_bias
     for simulator in (lawful, corrected):
-        simulator.reset(deep)
         simulator.step(0.02)
     assert lawful.state[3] == pytest.approx(5.5 - 0.1 * 0.02, abs=1e-12)
     assert corrected.state[3] < lawful.state[3] - 1e-3
@@ -74,10 +71,7 @@ def test_the_first_impact_is_late_by_half_a_substep_on_average() -> None:
     def delay(substeps: int) -> float:
         late = []
         for height in np.linspace(0.5, 3.5, 60):
-            simulator = PymunkSimulator(Scene(drive=None), substeps=substeps)
-            start = np.zeros(12)
-            start[4] = height
-            simulator.reset(start)
+            simulator = started(PymunkSimulator(Scene(drive=None), substeps=substeps), height * np.eye(12)[4])
             while not simulator.impacts:
                 simulator.step(0.02)
             late.append(simulator.impacts[0].time - math.sqrt(2.0 * (5.0 + height) / 9.81))

@@ -11,12 +11,9 @@ import pytest
 from jackbox_env import Chirp, Drive, JackInBoxVectorEnv, JackLostError, Scene, make_simulator
 from jackbox_env.mechanics import energy, simultaneous_impact_map
 from jackbox_env.model.states import as_start, clearance
-from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators.pymunk import PymunkSimulator
 from tests.guarantees.poses import velocity_error
-from tests.states import WEIGHTLESS, Array, lying, several_contacts
-
-EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
+from tests.states import WEIGHTLESS, Array, lying, several_contacts, started
 
 
 def test_the_tolerance_grows_far_from_the_origin() -> None:
@@ -48,13 +45,11 @@ def beyond_the_floor(rng: np.random.Generator) -> tuple[Scene, Array]:
 def test_a_foot_outside_is_followed_whatever_its_rate_and_gets_no_deeper(cases: Callable[[int], int]) -> None:
     count, rng = cases(1000), np.random.default_rng(4)
     scenes, states = zip(*(beyond_the_floor(rng) for _ in range(count)), strict=True)
-    batch = JackInBoxVectorEnv(count, contact="exact", scene=list(scenes), torque="chirp")
-    batch.reset(seed=0)
+    batch = started(JackInBoxVectorEnv(count, contact="exact", scene=list(scenes), torque="chirp"), seed=0)
     batch.set_states(np.array(states), 0.0)
     trajectory = [batch.states for _ in range(4) if batch.step(np.zeros((count, 1)))]
     for row, (scene, state) in enumerate(zip(scenes, states, strict=True)):
-        alone = make_simulator(scene, "exact")
-        alone.reset(state)
+        alone = started(make_simulator(scene, "exact"), state)
         for after in trajectory:
             alone.step(0.02)
             np.testing.assert_array_equal(alone.state, after[row])
@@ -66,15 +61,15 @@ def test_a_foot_outside_is_followed_whatever_its_rate_and_gets_no_deeper(cases: 
 def test_a_foot_outside_that_gravity_turns_round_rests_there_and_one_that_nothing_pulls_leaves(outside: float) -> None:
     rate = math.sqrt(9.81 * outside)  # rises by half the depth
     for scene, expected in ((Scene(drive=None), -0.5 * outside), (WEIGHTLESS, rate * 0.02 - outside)):
-        simulator = make_simulator(scene, "exact")
-        simulator.reset(lying(turned=0.0, depth=5.0 + outside) + rate * np.eye(12)[10])
+        simulator = started(
+            make_simulator(scene, "exact"), lying(turned=0.0, depth=5.0 + outside) + rate * np.eye(12)[10]
+        )
         simulator.step(0.02)
         assert clearance(scene, simulator.state.tolist()) == pytest.approx(expected, rel=1e-9, abs=2e-13)
 
 
 def test_without_the_refusal_the_jack_would_be_out_of_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
-    simulator = PymunkSimulator(Scene(drive=None))
-    simulator.reset(1e5 * np.eye(12)[9])
+    simulator = started(PymunkSimulator(Scene(drive=None)), 1e5 * np.eye(12)[9])
     monkeypatch.setattr(PymunkSimulator, "_deepest", math.inf)
     simulator.step(0.02)
     assert clearance(simulator.scene, simulator.state.tolist()) < -1.0
@@ -86,8 +81,7 @@ def test_with_too_few_iterations_the_feet_would_not_obey_the_law(monkeypatch: py
     expected, _ = simultaneous_impact_map(scene, state, contacts)
 
     def error(iterations: int | None) -> float:
-        simulator = PymunkSimulator(scene, substeps=1, iterations=iterations)
-        simulator.reset(state)
+        simulator = started(PymunkSimulator(scene, substeps=1, iterations=iterations), state)
         simulator.step(1e-12, torque=0.0)  # poses move by 1e-10 m and less
         return velocity_error(scene, simulator.state[6:], expected[6:])
 

@@ -12,7 +12,7 @@ from jackbox_env.mechanics import energy
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, clearance
 from tests.simulators.exact_runs import gaps_evaluated, plain_step, simulator
-from tests.states import lying
+from tests.states import at, lying
 
 
 def in_a_corner(scene: Scene, speed: float, turning: float = 0.0) -> Array:
@@ -58,8 +58,7 @@ def test_a_jack_all_but_at_rest_is_followed(scene: Scene, start: Array, dt: floa
 def test_a_rattle_is_not_mistaken_for_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     # Feet in all four corners with 1e-4 m of play: as many gaps evaluated as at rest, but impulses of m v.
     scene = Scene(gravity=0.0, drive=None, jack_arm=6.0 * math.sqrt(2.0) - 1e-4)
-    state = np.zeros(12)
-    state[[5, 9, 11]] = math.pi / 4.0, 10.0, 0.3
+    state = at(theta_jack=math.pi / 4.0, vx_jack=10.0, omega_jack=0.3)
     monkeypatch.setattr(kernel, "_CHATTER_WORK", 1000)
     guarded = plain_step(scene, state, 0.005, 0.0)
     monkeypatch.setattr(kernel, "is_chattering", lambda n, w: False)

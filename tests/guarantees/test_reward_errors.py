@@ -23,10 +23,9 @@ from jackbox_env import (
 )
 from jackbox_env.model.states import OMEGA_BOX
 from jackbox_env.sb3 import make_sb3_vec_env
-from jackbox_env.simulators import CONTACT_MODELS
-from tests.batches.several import assert_same
+from tests.batches.several import EVERY_MODEL, assert_same
+from tests.states import started
 
-EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
 
 
@@ -50,8 +49,7 @@ def test_an_index_counts_from_either_end_and_past_it_is_an_error() -> None:
     task = Task(
         ("read",), lambda scene, state, torque, impulse: read((round(torque) + 8) // 16, (round(torque) + 8) % 16 - 8)
     )
-    env = JackInBoxEnv(contact="exact", task=task)
-    env.reset(seed=0)
+    env = started(JackInBoxEnv(contact="exact", task=task), seed=0)
     wrong = [0] * 13
     for kind, k in itertools.product(range(13), range(-5, 6)):
         share = (16 * kind + k) / Scene().torque_limit
@@ -117,8 +115,7 @@ WITHOUT_TORQUE: dict[str, Any] = {
 def test_arithmetic_that_fails_before_the_first_step_is_no_verdict(case: str, contact: str) -> None:
     values = WITHOUT_TORQUE[case]
     for make in MAKERS:
-        env = make(contact=contact, task=Task(("part",), values))
-        env.reset(seed=0)
+        env = started(make(contact=contact, task=Task(("part",), values)), seed=0)
         (expected,) = values(None, None, Scene().torque_limit, 0.0)
         np.testing.assert_allclose(env.step(np.ones(env.action_space.shape))[1], expected)
         seen = env.observation if make is JackInBoxEnv else env.observations

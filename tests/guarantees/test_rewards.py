@@ -28,8 +28,8 @@ from jackbox_env.model.tasks import TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS
 from jackbox_env.simulators import users_functions as scoring
+from tests.states import started
 
-EVERY_MODEL = pytest.mark.parametrize("contact", CONTACT_MODELS)
 MAKERS: list[Any] = [JackInBoxEnv, functools.partial(JackInBoxVectorEnv, 2)]
 
 
@@ -75,12 +75,9 @@ def read(scene: Any, state: Any, torque: float, impulse: float) -> tuple[float, 
 def test_a_task_sees_the_same_numbers_everywhere() -> None:
     names = tuple(f"part_{number}" for number in range(18))
     task = Task(names, read)
-    batch = JackInBoxVectorEnv(3, contact="exact", task=task)
-    batch.reset(seed=0)
+    batch = started(JackInBoxVectorEnv(3, contact="exact", task=task), seed=0)
     played: Any = jackbox_env.rollout(None, batch.states, np.full((3, 150), 4.5e4), 0.02, rewards=task)
-    single, plain = JackInBoxEnv(contact="exact", task=task), JackInBoxEnv(task=task)
-    single.reset(seed=2)
-    plain.reset(seed=2)
+    single, plain = (started(JackInBoxEnv(contact=contact, task=task), seed=2) for contact in ("exact", "pymunk"))
     knocks = 0
     for earned in played.rewards.T:
         np.testing.assert_array_equal(batch.step(np.full(3, 0.5))[1], earned)
@@ -119,8 +116,7 @@ def test_terms_are_summed_in_their_order() -> None:
 
 def paid_now(task: Task, contact: str = "exact") -> float:
     """The reward of a first step in a new environment."""
-    env = JackInBoxEnv(contact=contact, task=task)
-    env.reset(seed=0)
+    env = started(JackInBoxEnv(contact=contact, task=task), seed=0)
     return env.step(0.0)[1]
 
 
@@ -241,8 +237,7 @@ def test_a_task_of_a_built_in_ones_name_is_paid_as_its_own_and_nothing_of_it_is_
 def test_machine_code_is_freed_with_whatever_it_was_compiled_for() -> None:
     owners = {name: noun() for name, noun in NOUNS.items()}
     for make in MAKERS:
-        env = make(contact="exact", **owners)
-        env.reset(seed=0)
+        env = started(make(contact="exact", **owners), seed=0)
         env.step(np.zeros(env.action_space.shape))
     entries: list[Any] = [entry for owner in owners.values() for entry in scoring._compiled[owner].entries.values()]
     engines = [made.library.codegen._engine._ee for entry in entries for made in entry.overloads.values()]
@@ -255,11 +250,10 @@ def test_machine_code_is_freed_with_whatever_it_was_compiled_for() -> None:
 
 def test_a_thread_still_at_work_keeps_the_machine_code_that_it_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(("paid",), lambda scene, state, torque, impulse: (1.0,))
-    batch, started = JackInBoxVectorEnv(2, contact="exact", task=task), list[Any]()
-    batch.reset(seed=0)
+    batch, begun = started(JackInBoxVectorEnv(2, contact="exact", task=task), seed=0), list[Any]()
 
     def interrupted(threads: Threads, work: Any, *_: Any, **__: Any) -> None:
-        started.append(work)
+        begun.append(work)
         raise RuntimeError
 
     monkeypatch.setattr(Threads, "run", interrupted)
@@ -269,6 +263,6 @@ def test_a_thread_still_at_work_keeps_the_machine_code_that_it_calls(monkeypatch
     del batch, task
     gc.collect()
     assert called() is not None
-    started.clear()
+    begun.clear()
     gc.collect()
     assert called() is None

@@ -20,7 +20,7 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.simulators import CONTACT_MODELS, make_simulator
 from tests.fingerprints import digest
 from tests.guarantees.poses import PAIRS, energy_norm, momenta, momentum_scale, random_scene, velocity_error
-from tests.states import Array, inside, one_foot_on_wall, several_contacts
+from tests.states import Array, at, inside, one_foot_on_wall, several_contacts, started
 
 Contacts = list[tuple[int, int]]
 Cases = Callable[[int], int]
@@ -189,8 +189,7 @@ def test_both_contact_models_apply_the_law(contact: str, kind: str, fields: Any,
         else:
             state, contacts = several_contacts(scene, rng, kind)
         expected, impulses = simultaneous_impact_map(scene, state, contacts)
-        simulator = make_simulator(scene, contact, substeps=1 if contact == "pymunk" else None)
-        simulator.reset(state)
+        simulator = started(make_simulator(scene, contact, substeps=1 if contact == "pymunk" else None), state)
         simulator.step(1e-13, torque=0.0)
         assert velocity_error(scene, simulator.state[6:], expected[6:]) < 1e-8
         struck = {(hit.wall, hit.foot): hit.impulse for hit in simulator.impacts}
@@ -263,8 +262,7 @@ def wedged(count: int) -> Iterator[tuple[Scene, Array]]:
     rng = np.random.default_rng(5)
     for case in range(count):
         arm = 6.0 * (1.0 + 10.0 ** rng.uniform(-4.0, -1.3))
-        state = np.zeros(12)
-        state[5] = math.acos(6.0 / arm)
+        state = at(theta_jack=math.acos(6.0 / arm))
         if case % 3 == 0:
             state[6:] = rng.standard_normal(6)
         elif case % 3 == 1:

@@ -9,14 +9,13 @@ import pytest
 
 from jackbox_env import Impact, Scene, make_simulator
 from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
-from jackbox_env.model.states import Array
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
 from jackbox_env.simulators.exact import ExactSimulator
 from jackbox_env.simulators.replay import flown
 from scripts.studies.accuracy.comparing import compare, reference_of, restarts
+from tests.states import WEIGHTLESS, Array, at
 
-WEIGHTLESS = Scene(gravity=0.0, drive=None)
 Hit = tuple[float, int, int]
 
 
@@ -26,9 +25,7 @@ def hits(*listed: Hit) -> list[Impact]:
 
 def flying_at_a_wall(speed: float = 10.0) -> Array:
     """Foot 0 ahead, 5 m from the wall at x = 6 m."""
-    state = np.zeros(12)
-    state[9] = speed
-    return state
+    return at(vx_jack=speed)
 
 
 # -- matching impacts --------------------------------------------------------------------------------------------------
@@ -182,8 +179,7 @@ def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
 
 def test_steps_too_long_to_be_played_once_more_give_nan_rather_than_a_wrong_number() -> None:
     # a second of a box at some 50 rad/s: hundreds of impacts in one step, each multiplies the replay's rounding by 5
-    start = np.zeros(12)
-    start[[3, 5, 8]] = 0.5, 0.3, 60.0
+    start = at(x_jack=0.5, theta_jack=0.3, omega_box=60.0)
     case = Case("fast box", Scene(drive=None), start, 20, None, 1.0)
     exact = make_simulator(case.scene, "exact")
     course, ends = follow(exact, case), follow(exact, case, at_ends)

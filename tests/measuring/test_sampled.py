@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from jackbox_env import Recording, Scene, rollout
 from jackbox_env.model.states import RATES, STATE_NAMES, Array
 
 pytest.importorskip("scipy")
-from jackbox_env.commands import fit as command
+from tests.script import jackbox
 
 RATE, PARTS = 30, 16  # frames a second; constant torques for each
 TRUE, START = Scene(jack_mass=4.6, restitution=0.9, drive=None), Scene(drive=None)
@@ -66,18 +65,13 @@ def test_samples_of_dropped_frames_are_on_the_curve() -> None:
 
 
 @pytest.mark.parametrize("kind", ["linear"])
-def test_a_torque_that_changes_gives_the_mass_with_its_kind_alone(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_torque_that_changes_gives_the_mass_with_its_kind_alone(kind: str, tmp_path: Path) -> None:
     states, samples = measured(kind)
-    monkeypatch.chdir(tmp_path)
     rows = np.column_stack([np.arange(len(states)) / RATE, states[:, :RATES], samples])
     header = ",".join(["time", *STATE_NAMES[:RATES], "torque"])
-    np.savetxt("motor.csv", rows, delimiter=",", header=header)
+    np.savetxt(tmp_path / "motor.csv", rows, delimiter=",", header=header)
     for options, converged in ([], False), (["--torque-column", kind], True):
-        monkeypatch.setattr(sys, "argv", ["jackbox fit", "motor.csv", *options])
-        command.main()
-        out, _ = capsys.readouterr()
+        out = jackbox("fit", "motor.csv", *options, cwd=tmp_path).stdout
         assert ("Converged: the search ended" in out) == converged
         low, high = map(float, re.findall(r"jack_mass +[\d.]+ +([\d.einf+-]+) to ([\d.einf+-]+)", out)[0])
         assert (low < 4.6 < high < low + 0.2) == converged

@@ -20,7 +20,7 @@ import jackbox_env.recording.recorder
 from jackbox_env import Chirp, Drive, Impact, Motion, Scene, State, make_simulator, rollout, simulate
 from jackbox_env.mechanics import gaps, simultaneous_impact_map
 from jackbox_env.simulators import CONTACT_MODELS
-from tests.states import inside, load, lying
+from tests.states import at, inside, load, lying
 
 RECORDS = [*load("exact_trajectories"), *load("loss_trajectories"), *load("seed_scene")]
 CASES = json.loads((Path(__file__).parents[2] / "docs" / "reference" / "cases.json").read_text())["cases"]
@@ -127,8 +127,8 @@ def test_impacts_of_several_feet_have_no_part_in_work(restitution: float, cases:
     rng, times = np.random.default_rng(5), np.linspace(0.0, 4.0, 99)
     scene = Scene(restitution=restitution, box_mass=30.0)
     for _ in range(cases(20)):
-        start = np.zeros(12)
-        start[[9, 10]], start[5] = rng.uniform(-3.0, 3.0, 2), math.pi / 4.0  # two feet come down together
+        start = at(theta_jack=math.pi / 4.0)  # two feet come down together
+        start[[9, 10]] = rng.uniform(-3.0, 3.0, 2)
         free = simulate(scene, start, 4.0, torque=0.0)
         assert free.impacts["time"][0] == free.impacts["time"][1]
         np.testing.assert_allclose(free.work(times), 0.0, rtol=0.0, atol=1e-9)

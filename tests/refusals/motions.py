@@ -14,7 +14,6 @@ from tests.refusals.kinds import array, choice, each, instance, out, real, whole
 from tests.refusals.sentences import START, Subject
 from tests.refusals.table import DT, ONE_SCENE, Kinds, Row, state
 
-NUMBER = real(3.0, none=True)
 TORQUES = array([1.0, 2.0, 3.0, 4.0], scalar=True, none=True)
 UNTIL = replace(
     instance("impact", "nothing", "function", "text", "empty_text", **each(out, {"zero": 0, "other": "impacts"})),

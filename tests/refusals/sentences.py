@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 from jackbox_env import JackInBoxEnv, JackInBoxVectorEnv, Scene, make_simulator
-from jackbox_env.model.states import STATE_NAMES, Array
+from jackbox_env.model.states import Array
 from jackbox_env.simulators import Simulator
+from tests.states import at as at
 
 MAKERS: tuple[Any, ...] = (JackInBoxEnv, partial(JackInBoxVectorEnv, 2))
 START = np.array([0.125, 0.25, 0.5, 0.5, -0.375, 0.25, 0.125, 0.0, 0.25, 3.0, 1.0, 2.0])
@@ -121,11 +122,6 @@ def several(number: int = 3, **settings: Any) -> Subject:
     shown = attrgetter("states", "times", "np_random_seed", "scenes")
     make = partial(JackInBoxVectorEnv, number, **settings)
     return Subject(make, start_several, lambda envs: [shown(envs), *map(envs.impacts, range(number))])
-
-
-def at(**values: float) -> Array:
-    """A state of zeros but for these."""
-    return np.array([values.get(name, 0.0) for name in STATE_NAMES])
 
 
 def with_foot(outside: float, width: float = 6.0) -> Array:

@@ -34,6 +34,7 @@ from tests.refusals.sentences import (
     rows,
     single,
 )
+from tests.states import started
 
 # -- torch and Stable-Baselines3 ---------------------------------------------------------------------------------------
 
@@ -50,9 +51,7 @@ NATIVE = Subject(
 
 
 def monitored() -> Any:
-    envs = VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=1), info_keywords=("impacts",))
-    envs.reset()
-    return envs
+    return started(VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=1), info_keywords=("impacts",)))
 
 
 REPLAY = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
@@ -322,6 +321,7 @@ def test_stable_baselines3_gets_one_sentence_and_nothing_has_changed(row: Refusa
 
 @pytest.mark.filterwarnings("ignore:The environment is already wrapped with a `Monitor`")
 def test_a_monitor_records_infos_that_environments_have() -> None:
-    envs = VecMonitor(make_sb3_vec_env(1, contact="exact", max_episode_steps=1, with_infos=True), None, ("impacts",))
-    envs.reset()
+    envs = started(
+        VecMonitor(make_sb3_vec_env(1, contact="exact", max_episode_steps=1, with_infos=True), None, ("impacts",))
+    )
     assert envs.step(np.zeros((1, 1)))[3][0]["episode"]["impacts"] == 0

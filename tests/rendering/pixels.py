@@ -28,7 +28,7 @@ def renderer_at(start: list[float], scene: Scene | None = None, time: float = 0.
 
 def draw(renderer: Renderer) -> Frame:
     frame = renderer.render()
-    assert frame is not None
+    assert isinstance(frame, np.ndarray)
     return frame
 
 

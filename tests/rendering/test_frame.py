@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from jackbox_env import JackInBoxEnv, Task
-from jackbox_env.render.renderer import Renderer
 from jackbox_env.simulators import Impact
 from tests.rendering.pixels import ARM, Frame, L, Mask, Words, blue, draw, pixel, red, renderer_at, state
 
@@ -172,18 +171,6 @@ def test_memory_is_bounded_and_a_frame_belongs_to_the_caller() -> None:
 # -- the flashes -------------------------------------------------------------------------------------------------------
 
 
-def with_and_without(after: list[float], *impacts: Impact) -> tuple[Renderer, Renderer]:
-    """Two renderers after a step of 0.02 s, one of them with impacts."""
-    flashed, plain = renderer_at(after), renderer_at(after)
-    flashed.record(after, 0.02, 0.0, impacts)
-    plain.record(after, 0.02, 0.0, [])
-    return flashed, plain
-
-
-def glow(pair: tuple[Renderer, Renderer]) -> NDArray[np.int_]:
-    return changed(draw(pair[0]), draw(pair[1]))
-
-
 @pytest.mark.parametrize(("wall", "foot", "sideways"), [(0, 0, 1.0), (1, 3, -2.0), (2, 1, 4.0), (3, 2, -2.5)])
 def test_flash_shows_where_the_foot_hit_at_the_time_of_the_impact(wall: int, foot: int, sideways: float) -> None:
     """Its centre and size are those of what an impact changes in the frame.
@@ -196,8 +183,10 @@ def test_flash_shows_where_the_foot_hit_at_the_time_of_the_impact(wall: int, foo
     after = state(box=(2.0, -3.0, 0.25), jack=(jack.real, jack.imag, angle + 0.4 - foot * math.pi / 2.0))
     rate = 30.0j * cmath.rect(1.0, angle)  # [m/s] for 0.01 s
     after[9:11] = rate.real, rate.imag
-    pair = with_and_without(after, Impact(0.01, wall, foot, 50.0))
-    glowing = np.argwhere(glow(pair))[:, ::-1]  # column and row
+    flashed, plain = renderer_at(after), renderer_at(after)
+    flashed.record(after, 0.02, 0.0, [Impact(0.01, wall, foot, 50.0)])
+    plain.record(after, 0.02, 0.0, [])
+    glowing = np.argwhere(changed(draw(flashed), draw(plain)))[:, ::-1]  # column and row
     low, high = glowing.min(axis=0), glowing.max(axis=0)
-    assert 0.5 * (low + high) == pytest.approx(pair[0].to_pixels(point.real, point.imag), abs=1.5)
+    assert 0.5 * (low + high) == pytest.approx(flashed.to_pixels(point.real, point.imag), abs=1.5)
     assert high - low == pytest.approx(24.5, abs=1.5)

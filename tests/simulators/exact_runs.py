@@ -10,12 +10,11 @@ from jackbox_env.exact import step
 from jackbox_env.exact.workspace import new_log, new_workspaces
 from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.exact import ExactSimulator, drive_kind, pieces_for
+from tests.states import started
 
 
 def simulator(scene: Scene, state: Any, time: float = 0.0) -> ExactSimulator:
-    made = ExactSimulator(scene)
-    made.reset(state, time)
-    return made
+    return started(ExactSimulator(scene), state, time)
 
 
 def plain_step(scene: Scene, state: Any, dt: float, torque: float | None = None, time: float = 0.0) -> tuple[Any, ...]:

@@ -17,23 +17,14 @@ from scripts.studies import baselines
 from scripts.studies.accuracy.comparing import compare, reference_of
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
-from tests.states import one_foot_on_wall
+from tests.states import WEIGHTLESS, one_foot_on_wall
 
-WEIGHTLESS = Scene(gravity=0.0, drive=None)
 NEEDS_MUJOCO = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="mujoco: pip install mujoco")
 EVERY_BASELINE = pytest.mark.parametrize("name", ["threshold", "box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
-EVERY_ENGINE = pytest.mark.parametrize("name", ["box2d", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
 
 
 def baseline(name: str, scene: Scene, substeps: int) -> Baseline:
     return baselines.baseline(name)(scene, substeps)
-
-
-def started(name: str, scene: Scene, substeps: int, numbers: dict[int, float], time: float = 0.0) -> Baseline:
-    """A baseline in a state that is 0 except for these numbers."""
-    simulator = baseline(name, scene, substeps)
-    simulator.reset([numbers.get(index, 0.0) for index in range(12)], time)
-    return simulator
 
 
 def chirped(seed: int, steps: int = 500) -> Case:

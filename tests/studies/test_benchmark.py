@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -17,8 +16,6 @@ from agents.settings import EnvSettings
 from jackbox_env import JackInBoxVectorEnv, Scene
 from scripts.studies.benchmark import policies, trainings
 from scripts.studies.benchmark.benchmark import _middle, interval, verdict
-
-DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_a_row_has_the_results_of_evaluate() -> None:

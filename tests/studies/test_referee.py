@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from jackbox_env.model.states import THETA_BOX, THETA_JACK, VX_JACK, X_JACK, Arr
 from jackbox_env.simulators import Impact, make_simulator
 from scripts import referee
 from tests import reference
+from tests.script import script
 
 NODE = pytest.mark.skipif(shutil.which("node") is None, reason="Node is missing: apt-get install nodejs")
 
@@ -42,11 +42,6 @@ def write(folder: Path, *names: str) -> tuple[Path, Path]:
     for file, lines in zip(files, (states, impacts), strict=True):
         file.write_text("\n".join(lines) + "\n")
     return files
-
-
-def judge(monkeypatch: pytest.MonkeyPatch, *words: object) -> None:
-    monkeypatch.setattr(sys, "argv", ["referee.py", *map(str, words)])
-    referee.main()
 
 
 # -- scores ------------------------------------------------------------------------------------------------------------
@@ -159,12 +154,9 @@ def test_a_state_after_an_impact_at_a_step_end_counts() -> None:
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_prints_a_table_and_writes_scores_and_plot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    states, impacts = write(tmp_path, "bounce", "spin")
-    judge(monkeypatch, states, "--impacts", impacts, "--folder", tmp_path / "out")
-    printed = capsys.readouterr().out
+def test_the_command_prints_a_table_and_writes_scores_and_plot(tmp_path: Path) -> None:
+    write(tmp_path, "bounce", "spin")
+    printed = script("referee", "states.csv", "--impacts", "impacts.csv", "--folder", "out", cwd=tmp_path).stdout
     assert "38 of 40 cases are missing and not scored: flight, two-feet" in printed
     assert re.search(r"bounce +1 of 1 ", printed)
     written = json.loads((tmp_path / "out" / "scores.json").read_text())
@@ -172,9 +164,7 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
     assert [one["case"] for one in written["cases"]] == ["bounce", "spin"]
     assert written["cases"][1]["correct"] >= 11
     assert (tmp_path / "out" / "impacts.png").stat().st_size > 10_000
-    with pytest.raises(SystemExit):
-        judge(monkeypatch, states, "--folder", tmp_path / "out")
-    assert "out" in capsys.readouterr().err
+    assert "out" in script("referee", "states.csv", "--folder", "out", cwd=tmp_path, status=2).stderr
 
 
 @pytest.mark.parametrize(
@@ -215,23 +205,15 @@ def test_the_command_prints_a_table_and_writes_scores_and_plot(
         ("\nbounce.*", "\n", "there is no case in the file of states"),
     ],
 )
-def test_bad_states_and_impacts_are_refused_in_a_sentence(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
-    sentence: str,
-) -> None:
+def test_bad_states_and_impacts_are_refused_in_a_sentence(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     files = write(tmp_path, "bounce")
     texts = [file.read_text() for file in files]
     changed = [re.sub(old, new, text, count=1, flags=re.DOTALL) for text in texts]
     assert changed != texts
     for file, text in zip(files, changed, strict=True):
         file.write_text(text)
-    with pytest.raises(SystemExit, match="2"):
-        judge(monkeypatch, files[0], "--impacts", files[1], "--folder", tmp_path / "out")
-    (line,) = capsys.readouterr().err.splitlines()
+    command = "states.csv", "--impacts", "impacts.csv", "--folder", "out"
+    (line,) = script("referee", *command, cwd=tmp_path, status=2).stderr.splitlines()
     assert re.search(sentence, line)
     assert not (tmp_path / "out").exists()
 

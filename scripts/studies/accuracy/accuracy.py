@@ -15,10 +15,8 @@ from scripts.studies.accuracy import measured as these
 from scripts.studies.accuracy.measured import (
     ALL,
     COST,
-    DEFAULT,
     DT,
     EXACT,
-    KINDS,
     PREDICTABLE,
     PYMUNK,
     REFERENCE,
@@ -26,7 +24,6 @@ from scripts.studies.accuracy.measured import (
     THRESHOLD,
     Results,
     Row,
-    named,
     of_fidelity,
     pymunk,
 )
@@ -115,20 +112,6 @@ def _worst(row: Row, unit: str) -> str:
 
 # -- the page ----------------------------------------------------------------------------------------------------------
 
-_ENGINES = [named(engine, n) for engine in ("box2d", "mujoco") for n in (4, 64)]
-TABLED = (EXACT, *(pymunk(n).name for n in (2, 4, 16, 64)), THRESHOLD, *_ENGINES)
-LONG_RUN = EXACT, pymunk(4).name, THRESHOLD, *(named(engine, 64) for engine in ("box2d", "mujoco"))
-ROWS = {"errors": TABLED, "long_run": LONG_RUN}
-COLUMNS = {
-    "errors": {
-        "µs per simulated s": "cost", "first impact [s]": "first_1", "correct impacts": "prefix",
-        "restart [m]": "local", "energy": "imbalance", "penetration [m]": "depth",
-        "lost": "escaped", "missed": "missed", "extra": "extra",
-    },
-    "long_run": {"impacts per s": "rate", "mean speed [m/s]": "speed", "mean impulse [N s]": "impulse"},
-}  # fmt: skip
-MEDIANS = "cost", "local"  # shown without their extremes
-
 
 def ranking(results: Results) -> list[str]:
     """The settings that played the proven cases, the one with the most correct impacts first."""
@@ -148,7 +131,7 @@ def filled(record: study.Record) -> dict[str, Any]:
     results, about = Results.of_record(record), record["costs"]["about"]
     missing = "".join(f" {name}: {sentence}." for name, sentence in about["missing"].items())
     fields = {"fidelity_table": fidelity_table(results), "about": about, "missing": missing}
-    return fields | {"answers": answers.words(record)} | _words(results) | _tables(results)
+    return fields | {"answers": answers.words(record), "reference": reference_table(results)} | _words(results)
 
 
 def fidelity_table(results: Results) -> str:
@@ -177,11 +160,7 @@ def _words(results: Results) -> dict[str, Any]:
         "orders": ["{:.2f} ({:.2f} to {:.2f})".format(*results.order(quantity)) for quantity in ("first_1", "depth")],
         "single_cost": _percent(results.of(single, "cost_over_default").median),
         "single_energy": _percent(results.of(single, "imbalance").worst),
-        "runs": results.of(DEFAULT, "depth").n,
-        "sure": f"{results.of(DEFAULT, 'sure').median:g}",
-        "expected": f"{results.of(DEFAULT, 'expected').total:,.0f}",
         "proven": [f"{results.of(EXACT, name, REFERENCE).total:g}" for name in ("prefix", "known")],
-        "kinds": ", ".join(KINDS),
     }
 
 
@@ -216,16 +195,6 @@ def _within(results: Results) -> str:
 # -- tables ------------------------------------------------------------------------------------------------------------
 
 
-def _tables(results: Results) -> dict[str, str]:
-    tables = {"reference": reference_table(results)}
-    for field, columns in COLUMNS.items():
-        runs = results.of(DEFAULT, "depth").n
-        shown = [name for name in ROWS[field] if (name, "", "cost") in results.rows]
-        rows = ((name, *(_cell(results, name, quantity, runs) for quantity in columns.values())) for name in shown)
-        tables[field] = table(("setting", *columns), rows)
-    return tables
-
-
 def reference_table(results: Results) -> str:
     """The settings on the proven cases, by correct impacts."""
     rows = []
@@ -243,18 +212,6 @@ def reference_table(results: Results) -> str:
 
 def _spread(row: Row) -> str:
     return f"{figure(row.median)} / {figure(row.worst)}"
-
-
-def _cell(results: Results, name: str, quantity: str, runs: int) -> str:
-    """A cell; a dash for what the exact model would measure on itself."""
-    row = results.of(name, quantity)
-    if (name == EXACT and quantity in ("local", "missed", "extra")) or not row.n:
-        return "-"
-    if quantity in MEDIANS or math.isfinite(row.total):
-        return figure(row.median if quantity in MEDIANS else row.total)
-    if math.isfinite(row.mean):
-        return f"{row.mean:.3g} ± {row.half_width:.2g}"
-    return _spread(row) + ("" if row.n == runs else f" ({row.n})")
 
 
 # -- the study ---------------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import product
@@ -21,7 +20,7 @@ from jackbox_env.tools import checks as check
 from jackbox_env.tools.files import replacing
 from scripts.studies import study
 from scripts.studies.benchmark import policies, trainings
-from scripts.studies.benchmark.trainings import ALGORITHMS, DECISIONS, JUDGES, SETTINGS, SHIPPED_PPO
+from scripts.studies.benchmark.trainings import ALGORITHMS, DECISIONS, SETTINGS, SHIPPED_PPO
 from scripts.studies.pages import cell, label_ends, table
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -43,8 +42,6 @@ Rows = list[dict[str, Any]]
 class Arguments(study.Arguments):
     """Train what is not stored yet, evaluate, and write the page."""
 
-    runs: Path | None = Path("runs/benchmark")
-    """Folder of trainings and evaluations, made if missing. Finished ones in it are not repeated."""
     algorithms: tuple[str, ...] = ALGORITHMS
     """Algorithms to train."""
     tasks: tuple[str, ...] = TRAINED
@@ -153,12 +150,12 @@ def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
     for task, fidelity in product(DECISIONS, FIDELITIES):
         if not (some := means.get((task, fidelity))):
             continue
-        on = {judge: np.array([row["earned"][judge] for row in some]) for judge in JUDGES}
+        on_exact = np.array([row["earned"]["exact"] for row in some])
         best = np.array([row["earned"]["exact"] for row in means[task, "exact"]])
         above = float(_middle(best)) - earned(record, task, "zero")
-        difference = interval(lambda one, other: _middle(one) - _middle(other), on["exact"], best)
+        difference = interval(lambda one, other: _middle(one) - _middle(other), on_exact, best)
         rows[task, fidelity] = {
-            "earns": {judge: interval(_middle, values) for judge, values in on.items()},
+            "earns": interval(_middle, on_exact),
             "share": None if fidelity == "exact" else [100.0 * part / above for part in difference],
             "verdict": "",
             "seconds": float(np.mean([row["processor_seconds"] for row in some])),
@@ -203,7 +200,11 @@ def learnt(record: study.Record, setting: str = "default") -> str:
         counts = sorted({len(rows) for rows in by_task.values()})
         spent = np.mean([row["processor_seconds"] for row in every])
         lines.append((name, " to ".join(map(str, counts)), *cells, score, f"{spent:.0f}"))
-    return table(("algorithm", "trainings", *TRAINED, "score", "seconds"), lines)
+    return (
+        table(("algorithm", "trainings", *TRAINED, "score", "seconds"), lines)
+        if lines
+        else "No training is stored yet."
+    )
 
 
 def filled(record: study.Record) -> dict[str, Any]:
@@ -236,9 +237,9 @@ def filled(record: study.Record) -> dict[str, Any]:
         "within": WITHIN,
         "decisions": DECISIONS,
         "fidelities": table(
-            ("task", "trained on", *(f"earns on {judge}" for judge in JUDGES), "against exact", "verdict", "seconds"),
+            ("task", "trained on", "earns on exact", "against exact", "verdict", "seconds"),
             [
-                (task, fidelity, *map(_range, row["earns"].values()), _against(row), row["verdict"],
+                (task, fidelity, _range(row["earns"]), _against(row), row["verdict"],
                  f"{row['seconds']:.0f}")
                 for (task, fidelity), row in fidelities.items()
             ],
@@ -249,14 +250,12 @@ def filled(record: study.Record) -> dict[str, Any]:
 
 
 def _missing(record: study.Record) -> Iterable[str]:
-    """The trainings that are not stored yet."""
+    """The algorithms and settings of which trainings are not stored yet."""
     for setting, (name, count) in product(SETTINGS, SEEDS.items()):
         by_task = of_algorithms(record, setting).get(name, {})
-        lacking = [
-            f"{task} {count - len(by_task.get(task, []))}" for task in TRAINED if len(by_task.get(task, [])) < count
-        ]
+        lacking = sum(count - len(by_task.get(task, [])) for task in TRAINED)
         if lacking and (setting == "default" or name in HARDER):
-            yield f"{name} ({setting}: {', '.join(lacking)})"
+            yield f"{lacking} of {name} ({setting})"
 
 
 def _rollouts(searches: dict[str, dict[str, Any]]) -> str:
@@ -273,20 +272,6 @@ def _table(record: study.Record, contact: str) -> str:
         spent = max(row["milliseconds"] for row in rows.values())
         lines.append((name, *(cell(rows[task]) for task in TRAINED), f"{spent:.2g}"))
     return table(("policy", *TRAINED, "ms"), lines)
-
-
-def for_the_readme(record: study.Record) -> str:
-    """The README's sentence on training."""
-    rows = compared(record)
-    others = {of: row for of, row in rows.items() if row["verdict"]}
-    longer = [row["seconds"] / rows[task, "exact"]["seconds"] for (task, _), row in others.items()]
-    kinds = Counter(row["verdict"].partition(":")[0] for row in others.values())
-    differing = ", ".join(f"{kinds[kind]} {kind}" for kind in (BETTER, WORSE, "undecided") if kinds[kind])
-    return (
-        f"PPO takes {min(longer):.0f} to {max(longer):.0f} times as long to train on pymunk. Judged on `exact`, it "
-        f"then earns the same within {WITHIN} as PPO trained on `exact` in {kinds[EQUAL]} of "
-        f"[{len(others)} comparisons](docs/benchmark.md#what-a-fidelity-does){f' ({differing})' if differing else ''}."
-    )
 
 
 def _range(values: Interval, digits: int = 1) -> str:

@@ -1,7 +1,7 @@
 """Write docs/fitting.md: how often the intervals of fits contain the truth, and what fits cost.
 
-900 synthetic recordings are fitted, some again with finite differences in place of exact derivatives. Then come small
-labs, some with a wrong value of a field that is not fitted, and the recordings of a camera.
+900 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
+the recordings of a camera.
 """
 
 from __future__ import annotations
@@ -26,11 +26,9 @@ LENGTHS = "recording", "processor time", "memory", "width of the mass's interval
 
 def trials(arguments: study.Arguments) -> study.Trials:
     """All fits of the page, each a trial; the files at a rate are one."""
-    kinds = [(False, "", 900), (True, "", 30), *((False, lab, 60 if wrong else 300) for lab, wrong in LABS.items())]
+    kinds = {"": 900} | {lab: 60 if wrong else 300 for lab, wrong in LABS.items()}
     fits: study.Trials = [
-        {"part": "fits", "differences": differences, "lab": lab, "seed": seed}
-        for differences, lab, count in kinds
-        for seed in range(count)
+        {"part": "fits", "lab": lab, "seed": seed} for lab, count in kinds.items() for seed in range(count)
     ]
     files = [{"part": "files", "rate": rate, "count": 40} for rate in (60.0, 30.0)]
     people: study.Trials = [
@@ -59,21 +57,11 @@ def spread(rows: Iterable[dict[str, Any]]) -> list[str]:
     return [str(len(rows)), f"{len(good) / max(1, len(rows)):.0%}", share, seconds, error]
 
 
-def tables(rows: list[dict[str, Any]]) -> str:
-    """The page's tables but that of labs."""
+def random_table(rows: list[dict[str, Any]]) -> str:
+    """The page's table of random scenes, by what was observed."""
     rows = [row for row in rows if not row["lab"]]
-    exact, other = ([row for row in rows if row["differences"] is kind] for kind in (False, True))
-    lines = [[kind, *spread(row for row in exact if row["observed"] == kind)] for kind in MEASURED]
-    again = {row["seed"] for row in other}
-    twins = [row for row in exact if row["seed"] in again]
-    compared = [["exact derivatives", *spread(twins)], ["finite differences", *spread(other)]]
-    return "\n\n".join(
-        [
-            table(("observed", *HEADS), [*lines, ["**all**", *spread(exact)]]),
-            "The same recordings by exact derivatives of each step and by differences of 1e-7:",
-            table(("derivatives", *HEADS), compared),
-        ]
-    )
+    lines = [[kind, *spread(row for row in rows if row["observed"] == kind)] for kind in MEASURED]
+    return table(("observed", *HEADS), [*lines, ["**all**", *spread(rows)]])
 
 
 def labs_table(rows: list[dict[str, Any]]) -> str:
@@ -127,7 +115,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "people": people_table(record["people"]),
         "passed": len(passed),
         "hidden": sum(row["hidden"] for row in passed),
-        "fits": tables(record["fits"]),
+        "fits": random_table(record["fits"]),
         "labs": labs_table(record["fits"]),
     }
 

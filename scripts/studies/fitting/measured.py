@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from jackbox_env import Fit, Recording, Scene, fit, linearize, make_simulator, rollout
-from jackbox_env.fits import shooting
+from jackbox_env import Fit, Recording, Scene, fit, make_simulator
 from jackbox_env.fits.shooting import units
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -40,7 +35,6 @@ MEASURED: dict[str, Sequence[int]] = {
     "the jack's position and angle, and impacts heard": _JACK,
 }
 NOISE = (3e-4, 1e-3, 3e-3)  # in units of L, v0, v0 / L and v0 / l
-_DIFFERENCE = 1e-7  # in SI units
 FIELDS = (("jack_mass", "restitution"), ("restitution", "gravity"), ("jack_mass", "jack_arm", "restitution"))
 # Fields that are fitted in a lab, and what is wrong there and by how much.
 LAB_FIELDS: tuple[str, ...] = ("jack_mass", "jack_inertia", "restitution")
@@ -142,29 +136,7 @@ def thrown(scene: Scene, rng: np.random.Generator) -> Array:
     return state
 
 
-def by_differences(
-    scene: Scene, starts: ArrayLike, torques: Array, dt: float, time: float, *, fields: Sequence[str], **settings: Any
-) -> SimpleNamespace:
-    """``linearize`` of shooting, by differences of motions from each state, in each number that may change."""
-    lin = linearize(scene, starts, torques, dt, time, fields=fields, **settings)
-    rows, steps = len(lin.trajectories), lin.trajectories.shape[1] - 1
-    before, after = lin.trajectories[:, :-1].reshape(-1, 12), lin.trajectories[:, 1:].reshape(-1, 12)
-    held = np.broadcast_to(torques, (rows, steps)).reshape(-1, 1)
-
-    def moved(changed: Scene, states: Array) -> Array:
-        ends = rollout(changed, states, held, dt, num_threads=1)[:, -1]
-        return np.where(lin.smooth.reshape(-1, 1), (after - ends) / _DIFFERENCE, np.nan).reshape(rows, steps, 12)
-
-    by_state = [moved(scene, before - _DIFFERENCE * np.eye(12)[index]) for index in range(12)]
-    values = {name: getattr(scene, name) for name in fields}
-    by_field = [moved(scene.changed(**{name: value - _DIFFERENCE}), before) for name, value in values.items()]
-    return SimpleNamespace(
-        trajectories=lin.trajectories, smooth=lin.smooth, impacts=lin.impacts, A=np.stack(by_state, axis=-1),
-        P=np.stack(by_field, axis=-1) if by_field else np.zeros((rows, steps, 12, 0)),
-    )  # fmt: skip
-
-
-def fitted(differences: bool, lab: str, seed: int) -> dict[str, Any]:
+def fitted(lab: str, seed: int) -> dict[str, Any]:
     """One fit: its time, and for each field its relative error and whether the interval contains the true value.
 
     ``lab``: one of ``LABS``; "": no lab.
@@ -177,8 +149,7 @@ def fitted(differences: bool, lab: str, seed: int) -> dict[str, Any]:
     noise_of_impacts = None if recording.impacts is None else {"impacts": IMPACT_NOISE}
     began = time.process_time()
     try:
-        with patch.object(shooting, "linearize", by_differences) if differences else nullcontext():
-            estimate = fit(recording, fields, start, noise=noise_of_impacts)
+        estimate = fit(recording, fields, start, noise=noise_of_impacts)
     except ValueError:  # no motion could be followed
         estimate = Fit(start, {}, np.zeros(0), (), problems=("no motion could be followed",))
     seconds, outcomes = time.process_time() - began, dict[str, dict[str, Any]]()
@@ -190,6 +161,6 @@ def fitted(differences: bool, lab: str, seed: int) -> dict[str, Any]:
         }  # fmt: skip
     held_out = float(np.mean(estimate.residuals**2)) if len(estimate.residuals) else None
     return {
-        "seed": seed, "differences": differences, "lab": lab, "observed": kind, "noise": noise, "seconds": seconds,
+        "seed": seed, "lab": lab, "observed": kind, "noise": noise, "seconds": seconds,
         "converged": bool(estimate.converged), "fields": outcomes, "held_out": held_out,
     }  # fmt: skip

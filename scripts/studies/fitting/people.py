@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jackbox_env import Fit, Recording, Scene, fit
+from jackbox_env.fits.faults import DELAY, GAIN, spoilt
 from jackbox_env.model.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
 from scripts.studies.fitting.measured import followed, thrown
 
@@ -24,9 +25,9 @@ WRONGS = *WRONG, "torques 3 % too large", LATE
 _LARGE = 1.0  # [m] half width, above which a table is not tilted
 
 
-def scene_of_people(rng: np.random.Generator) -> Scene:
+def scene_of_people(rng: np.random.Generator, sizes: tuple[float, float]) -> Scene:
     """A box of any size, upright or on a tilted table, and a jack, in half of the scenes with an inertia of its own."""
-    length = float(np.exp(rng.uniform(np.log(0.08), np.log(6.0))))
+    length = float(np.exp(rng.uniform(*map(np.log, sizes))))
     tilted = length < _LARGE and rng.random() < 0.5
     gravity = 9.81 * (np.sin(np.radians(rng.uniform(3.0, 12.0))) if tilted else 1.0)
     mass, arm = 0.5 * (length / 0.15) ** 2 * np.exp(rng.uniform(-0.5, 0.5)), length * rng.uniform(0.15, 0.4)
@@ -38,7 +39,7 @@ def scene_of_people(rng: np.random.Generator) -> Scene:
     )  # fmt: skip
 
 
-def spoilt(seen: Array, share: float, length: float, rng: np.random.Generator) -> Array:
+def with_bad_rows(seen: Array, share: float, length: float, rng: np.random.Generator) -> Array:
     """Positions, (H + 1, 6), with a share of bad rows: other places, zeros, or nothing."""
     rows = np.flatnonzero(rng.random(len(seen)) < share)
     for row in rows[rows > 0]:
@@ -51,17 +52,22 @@ def spoilt(seen: Array, share: float, length: float, rng: np.random.Generator) -
     return seen
 
 
-def recorded_by_people(seed: int, verdict: bool) -> tuple[Scene, Scene, tuple[str, ...], Recording]:
-    """A scene, the fit's start, the fields to fit, and a recording."""
+def recorded_by_people(
+    seed: int, verdict: bool, sizes: tuple[float, float] = (0.08, 6.0), hardest: float = np.inf
+) -> tuple[Scene, Scene, tuple[str, ...], Recording]:
+    """A scene with a half width within sizes [m], the fit's start, the fields to fit, and a recording.
+
+    A motor pushes by up to twice g / L, and of ``hardest`` [rad/s^2].
+    """
     rng = np.random.default_rng((61, int(verdict), seed))
-    scene = scene_of_people(rng)
+    scene = scene_of_people(rng, sizes)
     length, arm = scene.box_half_width, scene.jack_arm
     fall = np.sqrt(2.0 * length / scene.gravity)
     rate = float(rng.choice([one for one in RATES_OF_CAMERAS if fall * one >= _FALL] or RATES_OF_CAMERAS[-1:]))
     steps, pushed, box_seen = round(rng.uniform(4.0, 20.0) * rate), rng.random() < 0.5, rng.random() < 0.5
 
     def motor(state: Array) -> float:
-        push = rng.uniform(-2.0, 2.0) * scene.gravity / length  # [rad/s^2]
+        push = rng.uniform(-2.0, 2.0) * min(scene.gravity, hardest * length) / length
         return float(scene.box_inertia * (push - state[OMEGA_BOX] - state[THETA_BOX]))  # keeps it from spinning
 
     states, torques = followed(scene, thrown(scene, rng), rate, steps, motor if pushed else None)
@@ -69,7 +75,7 @@ def recorded_by_people(seed: int, verdict: bool) -> tuple[Scene, Scene, tuple[st
     noises = np.array([noise, noise, np.radians(rng.uniform(0.1, 0.5))] * 2)  # [m], [rad]
     noises[THETA_JACK] = max(noises[THETA_JACK], 0.3 * noise / arm)
     seen = states[:, :RATES] + noises * rng.standard_normal((steps + 1, RATES))
-    seen = spoilt(seen, rng.uniform(0.0, 0.02) * rng.integers(2), length, rng)
+    seen = with_bad_rows(seen, rng.uniform(0.0, 0.02) * rng.integers(2), length, rng)
     if not box_seen:
         seen[:, X_BOX : Y_BOX + 1] = np.nan
     rows = np.full((steps + 1, 12), np.nan)
@@ -86,14 +92,9 @@ def spoilt_by(wrong: str, start: Scene, recording: Recording) -> tuple[Scene, Re
         return start, recording
     if wrong in WRONG:
         return start.changed(**{wrong: WRONG[wrong] * getattr(start, wrong)}), recording
-    torques = np.asarray(recording.torques)
-    if not torques.any():
+    if not np.any(recording.torques):
         return None
-    changed = 1.03 * torques
-    if wrong == LATE:
-        moments, turned = np.arange(len(torques) + 1.0), np.append(0.0, np.cumsum(torques))
-        changed = np.diff(np.interp(moments - 0.005 / recording.dt, moments, turned))
-    return start, Recording(recording.states, changed, recording.dt)
+    return start, spoilt(recording, *((DELAY, 0.005) if wrong == LATE else (GAIN, 0.03)))
 
 
 def fitted_by_people(seed: int, verdict: bool, true_start: bool, wrong: str = "") -> dict[str, Any] | None:

@@ -90,19 +90,13 @@ def with_earlier(new: study.Record, stored: study.Record) -> study.Record:
 
 
 def _section(results: Mapping[str, Any]) -> str:
-    """The tables of a part: rates and ratios; those of an earlier run last."""
-    rates = [[name, figure(statistics.median(values))] for name, values in results["rates"].items()]
+    """The ratios of a part, those of an earlier run last."""
     ratios = [[what, *_cells(values)] for what, values in results["ratios"].items()]
     ratios += [[f"{what} (earlier, see below)", *_cells(one["values"])] for what, one in results["kept"].items()]
     earlier = [
         f"Not installed here, and measured earlier: {what}. {one['made']}" for what, one in results["kept"].items()
     ]
-    lines = [
-        table(("what", "per second"), rates),
-        table(("ratio", "median", "smallest to largest"), ratios),
-        *earlier,
-    ]
-    return "\n\n".join(lines)
+    return "\n\n".join([table(("ratio", "median", "smallest to largest"), ratios), *earlier])
 
 
 def _cells(values: list[float]) -> list[str]:
