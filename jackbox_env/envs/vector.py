@@ -140,8 +140,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         }  # fmt: skip
         self._nouns, self._driven = single.nouns, torque == "chirp"
         self._terms = single.nouns.task.terms if self._with_infos else None  # in infos
-        shorter = (max_episode_steps and decisions) or math.inf
-        limits = Limits.of(single.repeat, shorter, single.episode_steps or math.inf)
+        shorter = decisions if max_episode_steps else None
+        limits = Limits.of(single.repeat, shorter or math.inf, single.episode_steps or math.inf)
         self.metadata = {
             **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
         }  # fmt: skip

@@ -235,7 +235,7 @@ class EnvView(Settings):
         """Itself."""
         return self
 
-    @property
+    @property  # type: ignore[misc]
     def spec(self) -> EnvSpec:
         """The spec from which ``gymnasium.make`` makes the same single environment."""
         spec = copy.deepcopy(gym.spec("JackInBox-v0"))

@@ -85,13 +85,14 @@ def test_set_state_continues_an_episode_and_a_finished_one_starts_anew(ends: int
     over = Task(("none",), lambda scene, state, torque, impulse: (0.0,), lambda scene, state, torque, impulse: True)
     env = JackInBoxEnv(episode_steps=3, task=over if ends == 1 else "juggle")
 
-    def step(*steps: int) -> bool:
+    def step(*steps: int) -> int:
         env.set_state(np.zeros(12), 0.0, *steps)
-        return any(env.step(None)[2:4])
+        env.step(None)
+        return env.elapsed_steps
 
-    assert [step() for _ in range(7)] == [number % ends == 0 for number in range(1, 8)]
-    assert [step(2), step(), step(2)] == [True, ends == 1, True]  # the count of steps is restored
+    assert [step() for _ in range(7)] == [number % ends + 1 for number in range(7)]
+    assert [step(2), step(), step(2)] == [3, 1, 3]  # the count of steps is restored
     env.set_state(np.zeros(12), 0.0, 3)
     with pytest.raises(gym.error.ResetNeeded, match="the episode has had its 3 steps"):
         env.step(None)
-    assert step() == (ends == 1)
+    assert step() == 1
