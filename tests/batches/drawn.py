@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from jackbox_env import Action, Chirp, Observation, Pixels, Scene, Task
+from jackbox_env.model.action import most_decisions
 from jackbox_env.model.tasks import sample_start
 from tests.invariants.cases import draw_scene
 
@@ -65,7 +66,7 @@ def choosy(gravity: float, drive: Chirp, rng: np.random.Generator) -> dict[str, 
 
 def draw_setup(draw: random.Random, contact: str) -> dict[str, Any]:
     """Arguments of :class:`tests.batches.alike.Alike` for a contact model."""
-    repeat = draw.choice((1, 1, draw.randint(2, 7), "bounce"))
+    repeat: Any = draw.choice((1, 1, draw.randint(2, 7), "bounce"))
     dt = 10.0 ** draw.uniform(-1.5 if repeat == "bounce" else -2.5, -1.0)
     shown = draw.choice((None, None, None, None, "rgb_array"))
     in_blocks = contact == "exact" and not shown
@@ -80,7 +81,7 @@ def draw_setup(draw: random.Random, contact: str) -> dict[str, Any]:
         "episode_steps": draw.choice((None, draw.randint(3, 40))),
         "randomize": _draw_randomize(draw, scenes),
     }  # fmt: skip
-    most = (shared["episode_steps"] or 100) // (1 if repeat == "bounce" else repeat)
+    most = most_decisions(shared["episode_steps"], repeat)
     limits = [None, *(limit for limit in (1, 2, 5, 9) if limit <= most)]
     threads = draw.choice((None, 1, 2, 3)), draw.choice((None, 1, 2, 3))
     return {
