@@ -142,8 +142,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "num_envs": num_envs, "max_episode_steps": -1 if limit == math.inf else limit, "autoreset_mode": self._mode,
             "num_threads": num_threads, "with_infos": with_infos,
         }  # fmt: skip
-        self._nouns, self._driven = single.nouns, torque == "chirp"
-        self._terms = single.nouns.task.terms if self._with_infos else None  # in infos
+        self._interface, self._driven = single.interface, torque == "chirp"
+        self._terms = single.interface.task.terms if self._with_infos else None  # in infos
         limits = Limits.of(single.repeat, limit, math.inf if single.episode_steps is None else single.episode_steps)
         self.metadata = {
             **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
@@ -156,7 +156,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             from jackbox_env.envs.compiled_batch import ExactBatch
 
             self._batch = ExactBatch(
-                scenes, num_envs, single.nouns, single.control_dt, single.repeat, limits, self._with_infos,
+                scenes, num_envs, single.interface, single.control_dt, single.repeat, limits, self._with_infos,
                 num_threads, drawn,
             )  # fmt: skip
         else:
@@ -226,7 +226,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._observed(np.arange(self.num_envs))
 
     def _observed(self, numbers: Indices) -> Floats:
-        observations = self._nouns.unfilled(self.num_envs)
+        observations = self._interface.new_observations(self.num_envs)
         self._batch.observe(numbers, observations)
         return observations
 
@@ -327,7 +327,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         waiting = self._over() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
-            checked = self._arguments.actions(self._nouns.action, actions, waiting)
+            checked = self._arguments.actions(self._interface.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
