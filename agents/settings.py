@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from jackbox_env import Scene
 from jackbox_env.commands.options import SCENE_HELP, chosen_scene
 from jackbox_env.model.action import ACTIONS, action_of, repeat_of
-from jackbox_env.model.observation import OBSERVATIONS, seen_of
+from jackbox_env.model.observation import OBSERVATIONS, observation_parts
 from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.randomization import NUMBERS
 from jackbox_env.model.tasks import TASKS
@@ -276,7 +276,7 @@ class TrainSettings(EnvSettings):
     @property
     def pixels(self) -> Pixels | None:
         """The pictures that the networks observe; None: they observe numbers. Raises as ``env_settings``."""
-        return seen_of(with_objects({"observation": self.observation})["observation"])[1]
+        return observation_parts(with_objects({"observation": self.observation})["observation"])[1]
 
     @property
     def nouns(self) -> dict[str, Any]:

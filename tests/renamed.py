@@ -59,16 +59,16 @@ def judged() -> str:
 
     from jackbox_env import Action, Observation, Scene, Task, make_simulator
     from jackbox_env.simulators.agent_functions import CompiledFunctions
-    from jackbox_env.simulators.plain_functions import Nouns
+    from jackbox_env.simulators.plain_functions import Interface
 
-    nouns = Nouns(
+    interface = Interface(
         Task(
             ("height", "share"), lambda scene, state, torque, impulse, by=3.0: (state[4] / by, torque / scene.gravity)
         ),
         Observation(("height",), -1e3, 1e3, lambda scene, state, time: (state[4] * time,)),
         Action(Box(-1.0, 1.0, (3,)), lambda scene, state, action, time, dt: action[0] * action[1] - action[2]),
     )
-    functions, simulator, results = CompiledFunctions(Scene(), nouns), make_simulator(contact="exact"), list[Any]()
+    functions, simulator, results = CompiledFunctions(Scene(), interface), make_simulator(contact="exact"), list[Any]()
     for state in np.random.default_rng(0).normal(size=(100, 12)):
         simulator.reset(state, 0.3)
         results += [*functions.step_and_score(simulator, 0.02, 2.0, True)[5:]]

@@ -159,7 +159,6 @@ def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
         "lesson": [f"who beats {level}?"],
         "make_it_yours": [
             f"{best_upright():.0f} at best",
-            f"About {results['spin_bound']:.0f} of",
             f"earns {earned['juggle', 'zero']:.0f}",
         ],
         "training": [f"about {round(sum(seconds) / len(seconds), -1):.0f} s"],

@@ -42,7 +42,7 @@ from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.simulators.plain_functions import ControlStep, Nouns
+from jackbox_env.simulators.plain_functions import ControlStep, Interface
 from jackbox_env.tools import checks as check
 
 VERSION = 1
@@ -201,7 +201,7 @@ def write_game(
 
 def _simulated(game: Game) -> Iterator[PlayedStep]:
     simulator, number, work = ExactSimulator(game.scene), _BASIS, 0.0
-    functions = make_functions(game.scene, Nouns(TASKS[game.task]), "exact")
+    functions = make_functions(game.scene, Interface(TASKS[game.task]), "exact")
     simulator.reset(game.start)
     for step, share in enumerate(game.shares, 1):
         try:

@@ -31,7 +31,7 @@ def main() -> None:
     text: str = arguments.text
     from jackbox_env.commands.game import played_columns, read_game, replayed_steps
     from jackbox_env.model.action import EPISODE_STEPS
-    from jackbox_env.model.scene import total
+    from jackbox_env.model.states import total
     from jackbox_env.recording.files import write_table
     from jackbox_env.tools.files import check_new_file
 

@@ -26,7 +26,7 @@ from jackbox_env.model.tasks import draw_start
 from jackbox_env.render.raster import Past
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.exact import ensure_compiled
-from jackbox_env.simulators.plain_functions import Nouns
+from jackbox_env.simulators.plain_functions import Interface
 from jackbox_env.simulators.users_functions import compiled_for
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
@@ -61,7 +61,7 @@ class ExactBatch:
         self,
         scenes: Sequence[Scene],
         num_envs: int,
-        nouns: Nouns,
+        interface: Interface,
         control_dt: float,
         repeat: Repeat,
         limits: Limits,
@@ -74,15 +74,15 @@ class ExactBatch:
         Raises:
             TypeError: a function of the user cannot be compiled.
         """
-        self._dt, self._nouns, self._repeat, self._limits = control_dt, nouns, repeat, limits
+        self._dt, self._interface, self._repeat, self._limits = control_dt, interface, repeat, limits
         self._with_infos, self._randomize = with_infos, randomize
         self._compile()
         self._count, self._width = num_envs, min(workspace.WIDEST, -(-num_envs // (num_threads or 1)))
         blocks = np.zeros((-(-num_envs // self._width), workspace.HEIGHT, self._width))
-        several = len(scenes) > 1 or randomize is not None
-        past = None if nouns.pixels is None else Past(nouns.pixels, np.zeros((num_envs, nouns.pixels.stack, RATES)))
+        several, pixels = len(scenes) > 1 or randomize is not None, interface.pixels
+        past = None if pixels is None else Past(pixels, np.zeros((num_envs, pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
-        by_function = (randomize is not None and randomize.function is not None) or nouns.task.start is not None
+        by_function = (randomize is not None and randomize.function is not None) or interface.task.start is not None
         self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
@@ -92,7 +92,7 @@ class ExactBatch:
 
     def _compile(self) -> None:
         """Compile the functions that the loop calls by their address, and store them as long as it may."""
-        task, observation, action, _ = self._nouns
+        task, observation, action, _ = self._interface
         plain = action is ACTIONS["torque"]
         scorer = compiled_for(task, score.score_block)
         observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
@@ -161,7 +161,7 @@ class ExactBatch:
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
                 words[index] = seeded(seed)[: words.shape[1]]
-        drawn, starting = self._randomize, self._nouns.task.start is not None and not placed
+        drawn, starting = self._randomize, self._interface.task.start is not None and not placed
         if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
         otherwise = table.driven_otherwise[numbers if table.several else 0].any()
@@ -177,14 +177,12 @@ class ExactBatch:
                 scene = next_scene(table.original_of(number), drawn, generator, changes[index] if changes else {})
                 scenes.append(scene)
             if starting:
-                states.append(draw_start(self._nouns.task, scene, generator))
+                states.append(draw_start(self._interface.task, scene, generator))
             words[index] = words_of(generator)[: words.shape[1]]
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
-        """The environments once episodes begin: now, or ``after`` a step.
-
-        Their observations are written into their rows, shape (N, numbers).
+        """The environments once episodes begin, now or ``after`` a step; this writes their rows of ``observations``.
 
         Raises:
             TaskError: a number of an observation is NaN.
@@ -263,9 +261,9 @@ class ExactBatch:
         if past is not None:
             past.draw(rows, numbers, observations, self._threads)
             return
-        bad = compiled_for(self._nouns.observation, score.observe_chosen)(rows, blocks, numbers, observations)
+        bad = compiled_for(self._interface.observation, score.observe_chosen)(rows, blocks, numbers, observations)
         if bad >= 0:
-            raise bad_numbers(self._nouns.observation, observations, bad)
+            raise bad_numbers(self._interface.observation, observations, bad)
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene, by the name of its field, shape (N,)."""
@@ -294,7 +292,7 @@ class ExactBatch:
         """A step of one environment from the blocks ``before`` under ``actions``, to be repeated."""
         block, lane = divmod(number, self._width)
         controls = None if actions is None else actions[:, number]
-        return RepeatedStep(number, self.scene(number), self._nouns, self._dt, before[block, :, lane], controls)
+        return RepeatedStep(number, self.scene(number), self._interface, self._dt, before[block, :, lane], controls)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -304,7 +302,7 @@ class ExactBatch:
         Functions of drives are read ``ahead``, for so many control steps. If a decision lasts longer, it begins anew.
         """
         self._finish()
-        steps, halt, loop, filled = self._repeat.steps, Halt(), compiled(run.run), self._unfilled()
+        steps, halt, loop, filled = self._repeat.steps, Halt(), compiled(run.run), self._new_results()
         scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
         present = self._present.blocks
         before, spare = present.copy() if steps > 1 else present, self._taken()  # several steps overwrite it
@@ -331,17 +329,17 @@ class ExactBatch:
         after, finished = spare if steps & 1 else before, sum(finished for *_, finished, _ in parts)
         return self._outcome(filled, finished, after, actions)
 
-    def _unfilled(self) -> Results:
+    def _new_results(self) -> Results:
         """Memory for the results of a step."""
-        count, several, pixels = self._count, self._repeat.steps > 1, self._nouns.pixels
+        count, several, pixels = self._count, self._repeat.steps > 1, self._interface.pixels
         shown = min(self._repeat.steps, pixels.stack) if several and pixels else 0
         return Results(
-            observations=np.empty((0 if pixels else count, len(self._nouns.observation.names)), np.float32),
+            observations=np.empty((0 if pixels else count, len(self._interface.observation.names)), np.float32),
             rewards=np.zeros((1, count)),
             returns=np.zeros(count if several else 0),
             terminations=np.zeros(count, dtype=np.bool_),
             truncations=np.zeros(count, dtype=np.bool_),
-            reports=np.zeros((count if self._with_infos else 0, score.TERMS + len(self._nouns.task.terms))),
+            reports=np.zeros((count if self._with_infos else 0, score.TERMS + len(self._interface.task.terms))),
             trajectories=np.empty((count if shown else 0, shown, 12)),
         )
 
@@ -369,7 +367,7 @@ class ExactBatch:
         rewards = filled.returns if self._repeat.steps > 1 else filled.rewards[0]
         observations, scenes, past = filled.observations, self._present.scenes, self._present.past
         if past is not None:
-            observations, everyone = self._nouns.unfilled(self._count), np.arange(self._count)
+            observations, everyone = self._interface.new_observations(self._count), np.arange(self._count)
             last = filled.trajectories if self._repeat.steps > 1 else states_of(after, self._count)[:, None]
             past = past.after(last, column_of(after, workspace.STEPS, self._count) - self._column(workspace.STEPS))
             past.draw(scenes.rows(everyone), everyone, observations, self._threads)
@@ -394,5 +392,8 @@ class ExactBatch:
             "impacts": reports[:, score.REPORTED_HITS].astype(np.int64),
             "impulse": reports[:, score.REPORTED_IMPULSE].copy(),
             "duration": durations,
-            **{f"reward_{name}": reports[:, score.TERMS + k].copy() for k, name in enumerate(self._nouns.task.terms)},
+            **{
+                f"reward_{name}": reports[:, score.TERMS + k].copy()
+                for k, name in enumerate(self._interface.task.terms)
+            },
         }

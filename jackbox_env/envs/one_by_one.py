@@ -49,7 +49,7 @@ class SingleBatch:
         self._originals = list(scenes) if len(scenes) > 1 else list(scenes) * num_envs
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
         self._with_infos, self._randomize, self._limits = with_infos, randomize, limits
-        self._nouns = self._envs[0].nouns
+        self._interface = self._envs[0].interface
         self._present = Present(
             [env._snapshot() for env in self._envs], np.zeros(num_envs, dtype=np.int64),
             np.zeros(num_envs, dtype=np.bool_), [np_random()[0] for _ in range(num_envs)],
@@ -118,7 +118,7 @@ class SingleBatch:
                 self._envs[number].simulator_of(scenes[-1])  # raises now if its contact model cannot simulate it
             if not placed:
                 scene = scenes[-1] if scenes else self.scene(number)
-                states.append(draw_start(self._nouns.task, scene, generators[-1]))
+                states.append(draw_start(self._interface.task, scene, generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
@@ -201,8 +201,8 @@ class SingleBatch:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
         count, going = len(self._envs), np.flatnonzero(~self._present.over).tolist()
-        observations, rewards = self._nouns.unfilled(count), np.zeros(count)
-        infos = blank(self._nouns.task.terms if self._with_infos else None, count)
+        observations, rewards = self._interface.new_observations(count), np.zeros(count)
+        infos = blank(self._interface.task.terms if self._with_infos else None, count)
         chosen = [None] * count if actions is None else self._as_singles(actions, going)
         terminations, truncations = np.zeros((2, count), dtype=np.bool_)
         after, (steps, decisions) = self._prepare(), self._limits
@@ -224,7 +224,7 @@ class SingleBatch:
         for number in going:
             if not np.isfinite(actions[:, number]).all():
                 raise bad_action(float(actions[0, number]), number)
-        if self._nouns.action.size:
+        if self._interface.action.size:
             return list(np.ascontiguousarray(actions.T))
         return [int(choice) for choice in actions[0].tolist()]
 

@@ -18,7 +18,7 @@ from jackbox_env.model.tasks import TaskError
 from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator, failure
-from jackbox_env.simulators.plain_functions import Nouns
+from jackbox_env.simulators.plain_functions import Interface
 
 
 class RepeatedStep(NamedTuple):
@@ -26,20 +26,20 @@ class RepeatedStep(NamedTuple):
 
     number: int
     scene: Scene
-    nouns: Nouns
+    interface: Interface
     dt: float  # control step [s]
     row: Array  # before the step, (16,)
     controls: Array | None  # the numbers of its action, (n,); None: the drive acts
 
     def steps(self) -> Iterator[StepResult]:
         """The results of its control steps, without end."""
-        simulator, functions = ExactSimulator(self.scene), CompiledFunctions(self.scene, self.nouns)
+        simulator, functions = ExactSimulator(self.scene), CompiledFunctions(self.scene, self.interface)
         simulator.reset(self.row[:12], float(self.row[TIME]))
         torque = None
         while True:
             if self.controls is not None:
                 share = float(self.controls[0])
-                if self.nouns.action is not ACTIONS["torque"]:
+                if self.interface.action is not ACTIONS["torque"]:
                     share = functions.share(simulator.state, self.controls, simulator.time, self.dt)
                 torque = clipped_share(share, f", in environment {self.number}") * self.scene.torque_limit
             yield simulator.step(self.dt, torque)
@@ -52,7 +52,7 @@ class RepeatedStep(NamedTuple):
         if ended == Status.BAD_ACTION and self.controls is not None:
             return bad_action(float(self.controls[0]), self.number)
         if ended == Status.BAD_OBSERVATION:
-            return bad_numbers(self.nouns.observation, observations, self.number)
+            return bad_numbers(self.interface.observation, observations, self.number)
         time = float(np.add.accumulate([self.row[TIME], *[self.dt] * made])[-1])
         if ended in (Status.BAD_REWARD, Status.BAD_TORQUE, Status.TOO_LATE, Status.NO_DRIVE):
             try:
@@ -60,7 +60,7 @@ class RepeatedStep(NamedTuple):
             except Exception as error:
                 return error
             if ended == Status.BAD_REWARD:
-                return bad_reward(self.nouns.task, self.scene, step, f"environment {self.number}")
+                return bad_reward(self.interface.task, self.scene, step, f"environment {self.number}")
             return RuntimeError(
                 f"the drive of environment {self.number} failed at t = {time:g} s, but not when it was called again"
             )

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.envs import reference
 from jackbox_env.envs.arguments import options_of
+from jackbox_env.envs.infos import Infos
 from jackbox_env.envs.settings import Settings
 from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
@@ -36,19 +37,19 @@ from jackbox_env.model.action import (
     repeat_of,
 )
 from jackbox_env.model.landing import is_over
-from jackbox_env.model.observation import Observation, seen_of
+from jackbox_env.model.observation import Observation, observation_parts
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.render.raster import Past
 from jackbox_env.simulators import Impact, Simulator, StepResult, make_simulator
-from jackbox_env.simulators.agent_functions import Functions, make_functions
+from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.fidelity import FURTHER, resolve
-from jackbox_env.simulators.plain_functions import ControlStep, Nouns, Seen, tried
+from jackbox_env.simulators.plain_functions import ControlStep, Functions, Interface, Observed
 from jackbox_env.tools import checks as check
 
-AnyAction = Seen | float | None
+AnyAction = Observed | float | None
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
 VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
@@ -71,7 +72,7 @@ class Snapshot(NamedTuple):
     picture: Any
 
 
-class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
+class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
     """A planar jack bounces inside a square box that a torque turns. ``reference.py`` has the whole page."""
 
     __doc__ = reference.__doc__
@@ -117,19 +118,19 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             "render_mode": render_mode, "render_size": size, "render_overlay": overlay,
         }  # fmt: skip
         self._dt, self._driven = dt, torque == "chirp"
-        numbers, pixels = seen_of(observation)
-        self.nouns = nouns = Nouns(tasks.task_of(task), numbers, action_of(action), pixels)
+        numbers, pixels = observation_parts(observation)
+        self.interface = interface = Interface(tasks.task_of(task), numbers, action_of(action), pixels)
         self._limit = math.inf if episode_steps is None else episode_steps
-        self._builtin, self._by_torque = nouns.builtin, nouns.action is ACTIONS["torque"]
+        self._builtin, self._by_torque = interface.builtin, interface.action is ACTIONS["torque"]
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
-        self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, nouns, setting.contact)
+        self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, interface, setting.contact)
         if not self._builtin:  # unfit functions raise now
-            tried(self._parts[1], tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
+            self._parts[1].check_types(tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
-        self._terms = [f"reward_{name}" for name in nouns.task.terms]
-        self.observation_space = nouns.space
-        self.action_space: Any = copy.deepcopy(nouns.action.space)  # each has a generator of its own
+        self._terms = [f"reward_{name}" for name in interface.task.terms]
+        self.observation_space = interface.space
+        self.action_space: Any = copy.deepcopy(interface.action.space)  # each has a generator of its own
         fps = max(1, round(1.0 / max(dt * (self.repeat.steps if render_mode == "rgb_array" else 1), 1e-4)))
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer = None
@@ -141,7 +142,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         if render_mode is not None:
             from jackbox_env.render.renderer import Renderer
 
-            name = task if isinstance(task, str) else ", ".join(nouns.task.terms)
+            name = task if isinstance(task, str) else ", ".join(interface.task.terms)
             self._renderer = Renderer(self.scene, render_mode, fps, name, size, overlay)
         self._start_pictures()
 
@@ -172,7 +173,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         return self._parts[0].impacts if self._impacts is None else list(self._impacts)
 
     @property
-    def observation(self) -> Seen:
+    def observation(self) -> Observed:
         """The observation of the present state: a fresh array."""
         if self._past is not None:
             return self._pictures(self._past)
@@ -194,7 +195,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observed, Infos]:
         """Start an episode. The class documents ``options`` and the distribution of starts.
 
         Raises:
@@ -205,16 +206,16 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         time = 0.0 if options.get("time") is None else options["time"]
         time = check.real("options['time']", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         generator = self.np_random if seed is None else np_random(seed)[0]
-        if self.nouns.task.start is not None:  # it may change more than the bits' state
+        if self.interface.task.start is not None:  # it may change more than the bits' state
             generator = copy.deepcopy(generator)
         bits = generator.bit_generator.state  # faster than a copy
         try:
             scene = self._next_scene(generator, options.get("scene"))
             start = options.get("state")
-            state = tasks.draw_start(self.nouns.task, scene, generator) if start is None else as_start(scene, start)
+            state = tasks.draw_start(self.interface.task, scene, generator) if start is None else as_start(scene, start)
             parts = self._parts_for(scene)
-            if self.nouns.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
-                tried(parts[1], state)
+            if self.interface.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
+                parts[1].check_types(state)
             observation = parts[1].observe(state, time)
         except BaseException:
             generator.bit_generator.state = bits
@@ -245,7 +246,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self.elapsed_steps, self._impacts = steps, None
         self._start_pictures()
 
-    def step(self, action: AnyAction) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+    def step(self, action: AnyAction) -> tuple[Observed, float, bool, bool, Infos]:
         """Make a decision: one or several control steps under ``action``, or under the scene's drive if it is None.
 
         Raises:
@@ -260,7 +261,7 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             if self._by_torque:
                 torque = self._torque_of(action)
             else:
-                controls = self.nouns.action.checked(action)[:, 0]
+                controls = self.interface.action.checked(action)[:, 0]
         if not self._started:
             raise gym.error.ResetNeeded("step must come after a reset, got none yet")
         left = self._limit - self.elapsed_steps
@@ -284,10 +285,10 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         self._impacts = None if made == 1 else whole.impacts
         if self._past is not None:
             self._past = self._past.later(np.array([[part.state for part in self.control_steps]]))
-            whole = whole._replace(seen=self._pictures(self._past))
+            whole = whole._replace(observation=self._pictures(self._past))
         truncated = self.elapsed_steps >= self._limit
         self._over = whole.over or truncated
-        return whole.seen, whole.reward, whole.over, truncated, self._info(whole, made)
+        return whole.observation, whole.reward, whole.over, truncated, self._info(whole, made)
 
     def _decide(
         self, torque: float | None, controls: Array | None, most: float
@@ -318,17 +319,17 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         mean, impulse, reward, *terms = sums
         whole = part._replace(
             torque=mean / made, impacts=impacts, impulse=impulse, terms=terms, reward=reward,
-            seen=self._parts[1].observe(part.state, part.time),
+            observation=self._parts[1].observe(part.state, part.time),
         )  # fmt: skip
         return whole, made, parts
 
-    def _control_step(self, torque: float | None, controls: Array | None, seen: bool) -> ControlStep:
+    def _control_step(self, torque: float | None, controls: Array | None, observed: bool) -> ControlStep:
         """Make one control step under a ``torque`` [N m], an action's numbers ``controls``, (n,), or the drive."""
         simulator, functions = self._parts
         if controls is not None:
             share = clipped_share(functions.share(simulator.state, controls, simulator.time, self._dt))
             torque = share * simulator.scene.torque_limit
-        return functions.step_and_score(simulator, self._dt, torque, seen)
+        return functions.step_and_score(simulator, self._dt, torque, observed)
 
     def render(self) -> Any:
         """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human").
@@ -357,9 +358,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
         Raises:
             AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
         """
-        if self.nouns.action not in _KEYS:
+        if self.interface.action not in _KEYS:
             raise AttributeError("there are keys for action='torque' and 'discrete' only")
-        left, right = _KEYS[self.nouns.action]
+        left, right = _KEYS[self.interface.action]
 
         def keys() -> dict[tuple[int, ...], AnyAction]:
             import pygame
@@ -390,9 +391,9 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             value: float = action.item()
             if -1.0 <= value <= 1.0:  # most often
                 return value * self._parts[0].scene.torque_limit
-        return float(self.nouns.action.checked(action)[0, 0]) * self._parts[0].scene.torque_limit
+        return float(self.interface.action.checked(action)[0, 0]) * self._parts[0].scene.torque_limit
 
-    def _info(self, of: ControlStep, steps: int) -> dict[str, Any]:
+    def _info(self, of: ControlStep, steps: int) -> Infos:
         """The info of a decision of so many control steps."""
         state, time, torque, impacts, impulse, terms, *_ = of
         info = {
@@ -405,13 +406,13 @@ class JackInBoxEnv(Settings, gym.Env[Seen, AnyAction]):
             info["scene"] = {name: getattr(self.scene, name) for name in names}
         return info
 
-    def _pictures(self, past: Past) -> Seen:
-        frames = past.draw(np.array([self.scene.numbers]), np.zeros(1, np.int64), self.nouns.unfilled(1), Threads(1))
-        return frames[0]  # type: ignore[no-any-return]
+    def _pictures(self, past: Past) -> Observed:
+        frames, values = self.interface.new_observations(1), np.array([self.scene.numbers])
+        return past.draw(values, np.zeros(1, np.int64), frames, Threads(1))[0]  # type: ignore[no-any-return]
 
     def _start_pictures(self) -> None:
-        if self.nouns.pixels is not None:
-            poses = np.tile(self._parts[0].state[:RATES], (1, self.nouns.pixels.stack, 1))
-            self._past = Past(self.nouns.pixels, poses)
+        if self.interface.pixels is not None:
+            poses = np.tile(self._parts[0].state[:RATES], (1, self.interface.pixels.stack, 1))
+            self._past = Past(self.interface.pixels, poses)
         if self._renderer is not None:
             self._renderer.reset(self._parts[0].state, self._parts[0].time)

@@ -138,8 +138,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             "num_envs": num_envs, "max_episode_steps": decisions, "autoreset_mode": self._mode,
             "num_threads": num_threads, "with_infos": with_infos,
         }  # fmt: skip
-        self._nouns, self._driven = single.nouns, torque == "chirp"
-        self._terms = single.nouns.task.terms if self._with_infos else None  # in infos
+        self._interface, self._driven = single.interface, torque == "chirp"
+        self._terms = single.interface.task.terms if self._with_infos else None  # in infos
         shorter = decisions if max_episode_steps else None
         limits = Limits.of(single.repeat, shorter or math.inf, single.episode_steps or math.inf)
         self.metadata = {
@@ -153,7 +153,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             from jackbox_env.envs.compiled_batch import ExactBatch
 
             self._batch = ExactBatch(
-                scenes, num_envs, single.nouns, single.control_dt, single.repeat, limits, self._with_infos,
+                scenes, num_envs, single.interface, single.control_dt, single.repeat, limits, self._with_infos,
                 num_threads, drawn,
             )  # fmt: skip
         else:
@@ -210,7 +210,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._observed(np.arange(self.num_envs))
 
     def _observed(self, numbers: Indices) -> Floats:
-        observations = self._nouns.unfilled(self.num_envs)
+        observations = self._interface.new_observations(self.num_envs)
         self._batch.observe(numbers, observations)
         return observations
 
@@ -311,7 +311,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         waiting = self._over() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
-            checked = self._arguments.actions(self._nouns.action, actions, waiting)
+            checked = self._arguments.actions(self._interface.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.workspace import make_numbers
-from jackbox_env.model.scene import SceneNumbers, between, fall_speed, square_inertia
+from jackbox_env.model.randomization import between
+from jackbox_env.model.scene import SceneNumbers, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts
 from jackbox_env.model.tasks import start_pose
 

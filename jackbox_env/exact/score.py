@@ -33,8 +33,8 @@ from jackbox_env.exact.workspace import (
 from jackbox_env.jit.compiler import called_at, numbers_in, packed, unpacked_as
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
-from jackbox_env.model.scene import SceneNumbers, total
-from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State
+from jackbox_env.model.scene import SceneNumbers
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State, total
 
 block_observer = called_at(lambda t: t.i8(t.f8[:, ::1], t.f8[:, ::1], t.i8, t.f8[:, ::1], t.i8, t.f4[:, ::1]))
 LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation

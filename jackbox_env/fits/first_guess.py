@@ -254,21 +254,17 @@ class Guess(NamedTuple):
 
 
 def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array, fields: Sequence[str]) -> Guess:
-    """A guess of restitution, a mass and lengths by regressions over the impacts.
+    """A guess of restitution and a mass by regressions over the impacts.
 
     Nothing but the jack pushes the box's centre, so that of both masses moves straight, with the fall added. At an
-    impact a foot is at a wall. Both are linear in that centre's motion, the ratio of the masses and the lengths.
+    impact a foot is at a wall. Both are linear in that centre's motion and the ratio of the masses.
     """
     impacts = impacts_of(recording, scene, flights, noise)
     origin = impacts.states[:, 0].copy()
     origin[:, X_BOX : Y_BOX + 1] = 0.0
     gaps, gradients = contacts_of(scene, origin, impacts.walls, impacts.feet)
     normals, positions = gradients[:, :2], impacts.straight[:, 0]
-    beyond = scene.box_half_width - gaps - (normals * origin[:, X_JACK : Y_JACK + 1]).sum(axis=1)  # of the foot
-    lengths = [name for name in ("jack_arm", "box_half_width") if name in fields]
-    by_length = {"jack_arm": beyond / scene.jack_arm, "box_half_width": np.full(len(gaps), -1.0)}
-    equations = [normals, normals * impacts.times[:, None], -(normals * positions).sum(axis=1)[:, None]]
-    equations += [-by_length[name][:, None] for name in lengths]
+    equations = normals, normals * impacts.times[:, None], -(normals * positions).sum(axis=1)[:, None]
     scale = float(np.hypot(noise[X_JACK], scene.jack_arm * noise[THETA_JACK]))
     rows, known = [np.concatenate(equations, axis=1) / scale], [-gaps / scale]
     middle = 0.5 * (flights.first + flights.last) * recording.dt
@@ -282,10 +278,8 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
         known.append(at[seen, axis] / deviations[:, 0])
     size, ratio = scene.box_half_width, scene.jack_mass / scene.box_mass
     begin = np.median(at[:, X_JACK : Y_JACK + 1], axis=0)
-    prior = np.concatenate([begin, np.zeros(2), [ratio], np.zeros(len(lengths))])
-    widths = np.concatenate(
-        [[9.0 * size] * 2, [9.0 * scene.speed_scale] * 2, [2.0 * ratio], [0.3 * size] * len(lengths)]
-    )
+    prior = np.append(begin, [0.0, 0.0, ratio])
+    widths = np.array([9.0 * size] * 2 + [9.0 * scene.speed_scale] * 2 + [2.0 * ratio])
     rows.append(np.diag(1.0 / widths))
     known.append(prior / widths)
     solved, deviations = _solved(np.concatenate(rows), np.concatenate(known))
@@ -294,9 +288,6 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     states = guess.with_centre(
         impacts.states, positions[:, None], impacts.straight[:, 1:], np.column_stack([impacts.times] * 2)
     )
-    for name, by, deviation in zip(lengths, solved[5:], deviations[5:], strict=True):
-        value = getattr(scene, name) + float(by)
-        guess.values[name] = value, float(deviation) / value
     gradients = contacts_of(scene, states[:, 0], impacts.walls, impacts.feet)[1]
     before, after = np.einsum("ni,nki->kn", gradients, states[:, :, RATES:])
     guess.values["restitution"] = _usual_ratio(-after, before)

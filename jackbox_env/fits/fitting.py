@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.least_squares import Chain
-from jackbox_env.fits.observed import Recording, known_noise
+from jackbox_env.fits.observed import Recording, known_noise, looks_smoothed
 from jackbox_env.fits.outcome import outcome_of
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, Search
@@ -94,9 +94,10 @@ def _fitted(search: Search) -> Fit:
     cut_all(search)
     if not search.windows:
         noise = ", or the noise, which may be larger than given" * bool(np.isfinite(search.known_noise).any())
+        smooth = ", or the track, which looks smoothed" * looks_smoothed(search.recordings)
         raise ValueError(
             "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
-            f"{noise}, or whether the jack moves"
+            f"{noise}{smooth}, or whether the jack moves"
         )
     search.progress.reset(total=len(LINK_SLACKS) + 2)
     search.progress.set_description("fitting")

@@ -18,7 +18,7 @@ from jackbox_env.exact.step import CONSTANT, Pieces, make_parameters, step
 from jackbox_env.exact.workspace import Status, Workspace, Workspaces, make_numbers, new_log, new_workspaces
 from jackbox_env.jit.compiler import numbers_in, unpacked_as
 from jackbox_env.model.mechanics import energy_of, twice_kinetic
-from jackbox_env.model.scene import SceneNumbers, total
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -30,6 +30,7 @@ from jackbox_env.model.states import (
     VY_JACK,
     Array,
     Counts,
+    total,
 )
 
 

@@ -17,12 +17,13 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from functools import cache
-from types import CellType, CodeType, FunctionType, ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from jackbox_env.jit.folders import HASHED, cache_folders, shipped_folder
+from jackbox_env.jit.names import full_name, is_foreign, reachable_names, top_level, used_names
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import State
 from jackbox_env.tools.signals import uninterrupted
@@ -110,7 +111,7 @@ _INLINED: set[Callable[..., Any]] = set()
 def _compiled_once(function: Callable[..., Any], substitutes: Substitutes, on_disk: bool) -> Any:
     for one in (function, *dict(substitutes).values()) if on_disk else ():
         if not f"{one.__module__.partition('.')[2].replace('.', '/')}.py".startswith(HASHED):
-            raise ValueError(f"code of {_full_name(one)} cannot be stored: the hash of the source leaves its file out")
+            raise ValueError(f"code of {full_name(one)} cannot be stored: the hash of the source leaves its file out")
     with _LOCK, uninterrupted():
         return _compilation(substitutes, on_disk).compiled(function)
 
@@ -130,17 +131,17 @@ class _Compilation:
     def __init__(self, substitutes: Substitutes, on_disk: bool = False, users: bool = False) -> None:
         self._substitutes, self._on_disk, self._users = dict(substitutes), on_disk, users
         self._label = (
-            "".join(f"[{name}={_full_name(by)}]" for name, by in substitutes) if on_disk else f"[{next(_numbers)}]"
+            "".join(f"[{name}={full_name(by)}]" for name, by in substitutes) if on_disk else f"[{next(_numbers)}]"
         )
         self._twins: dict[tuple[Any, bool], Any] = {}
 
     def compiled(self, function: Any, inner: bool = False) -> Any:
         """The compiled function; ``inner`` if only compiled code calls it."""
-        foreign, names = _is_foreign(function), _used_names(function.__code__)
+        foreign, names = is_foreign(function), used_names(function.__code__)
         if (
             (self._substitutes or self._users)
             and not foreign
-            and _reachable_names(function).isdisjoint(self._substitutes)
+            and reachable_names(function).isdisjoint(self._substitutes)
         ):
             return _compilation((), True).compiled(function, inner)
         if (function, inner) not in self._twins:
@@ -170,7 +171,7 @@ class _Compilation:
         defaults = tuple(map(_native().signed, map(_copied, function.__defaults__ or ())))
         twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
         twin.__module__ = function.__module__ or "__main__"  # exec makes functions without a module
-        twin.__qualname__ = f"{_full_name(function)}{'()' if inner else ''}{self._label}"
+        twin.__qualname__ = f"{full_name(function)}{'()' if inner else ''}{self._label}"
         inline, checked = inner and function in _INLINED, foreign and self._users
         return _jitted(twin, inner, inline, checked, self._on_disk and not inner)
 
@@ -183,9 +184,9 @@ class _Compilation:
         value = getattr(value, "py_func", value)  # a user's function of numba's is compiled with checks like the others
         if isinstance(value, FunctionType) and (native := _intrinsic(value)) is not None:
             return native
-        if isinstance(value, FunctionType) and _top_level(value.__globals__) not in _KNOWN_TO_NUMBA:
+        if isinstance(value, FunctionType) and top_level(value.__globals__) not in _KNOWN_TO_NUMBA:
             return self.compiled(value, inner=True)
-        if isinstance(value, ModuleType) and _top_level(vars(value)) not in _KNOWN_TO_NUMBA:
+        if isinstance(value, ModuleType) and top_level(vars(value)) not in _KNOWN_TO_NUMBA:
             twin = ModuleType(value.__name__)
             vars(twin).update(self._counterparts(names, vars(value)))
             return twin
@@ -220,7 +221,7 @@ class UsersFunctions(_Compilation):
     def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
         """The same with further substitutes of functions of this package; the user's functions are not read again."""
         other = UsersFunctions(lambda _: self._substitutes | substitutes)
-        other._twins = {key: twin for key, twin in self._twins.items() if _is_foreign(key[0])}
+        other._twins = {key: twin for key, twin in self._twins.items() if is_foreign(key[0])}
         return other
 
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
@@ -269,34 +270,6 @@ def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_dis
     if on_disk and not native.LACKING:
         native.set_cache(dispatcher, CodeCache(twin, cache_folders(), shipped_folder()))
     return dispatcher
-
-
-def _used_names(code: CodeType) -> set[str]:
-    """The names of globals and attributes that code uses, functions defined in it included."""
-    inner = (_used_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*inner)
-
-
-@cache
-def _reachable_names(function: FunctionType) -> set[str]:
-    """The names that a function of this package uses, itself or in functions of this package that it calls."""
-    names = _used_names(function.__code__)
-    used = [one for one in map(function.__globals__.get, names) if isinstance(one, FunctionType)]
-    return names.union(*(_reachable_names(one) for one in used if not _is_foreign(one)))
-
-
-def _full_name(function: Callable[..., Any]) -> str:
-    return f"{function.__module__}.{function.__qualname__}"
-
-
-def _top_level(named: Mapping[str, Any]) -> str:
-    """The top-level package of the globals of a function or module."""
-    return str(named.get("__name__")).split(".")[0]
-
-
-def _is_foreign(function: FunctionType) -> bool:
-    """Whether a function is not of this package."""
-    return _top_level(function.__globals__) != _top_level(globals())
 
 
 def called_at(signature: Callable[[Any], Any]) -> Callable[[Any], Callable[..., int]]:

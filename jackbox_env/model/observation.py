@@ -172,7 +172,9 @@ OBSERVATIONS = {
 }
 
 
-def seen_of(observation: str | Observation | Pixels | Mapping[str, Any]) -> tuple[Observation, Pixels | None]:
+def observation_parts(
+    observation: str | Observation | Pixels | Mapping[str, Any],
+) -> tuple[Observation, Pixels | None]:
     """The numbers that an agent observes, and the pictures that it observes instead of the ten numbers, or None.
 
     Raises:

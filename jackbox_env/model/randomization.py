@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.model.scene import Scene, SceneNumbers, between
+from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import Array
 from jackbox_env.tools import checks as check
 
@@ -102,3 +102,8 @@ def _range(name: str, ends: Any) -> tuple[float, float]:
     if low > high:
         raise ValueError(f"randomize[{name!r}] must be (least, largest), got {check.shown(ends)}")
     return low, high
+
+
+def between(low: float, high: float, share: float) -> float:
+    """The number that is ``share`` (0 to 1) of the way from ``low`` to ``high``, never beyond by rounding."""
+    return min(high, low + (high - low) * share)

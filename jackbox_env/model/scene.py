@@ -247,19 +247,6 @@ def fall_speed(height: float) -> float:
     return math.sqrt(2.0 * 9.81 * height)
 
 
-def total(values: Sequence[float]) -> float:
-    """Sum in the order given, as in compiled code; Python's own ``sum`` rounds otherwise."""
-    result = 0.0
-    for value in values:
-        result += value
-    return result
-
-
-def between(low: float, high: float, share: float) -> float:
-    """The number that is ``share`` (0 to 1) of the way from ``low`` to ``high``, never beyond by rounding."""
-    return min(high, low + (high - low) * share)
-
-
 @dataclass(frozen=True)
 class Scene:
     """All parameters of the physics. Frozen; every number is a Python float.

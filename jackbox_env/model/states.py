@@ -175,3 +175,11 @@ def _located(scene: Scene, state: ArrayLike) -> tuple[Array, float]:
     if not math.ulp(furthest) <= 1e-3 * scene.box_half_width:
         raise ValueError(f"state must be near enough to the origin for float64 to resolve L / 1000, got {furthest:g} m")
     return array, -clearance(scene, values)
+
+
+def total(values: Sequence[float]) -> float:
+    """Sum in the order given, as in compiled code; Python's own ``sum`` rounds otherwise."""
+    result = 0.0
+    for value in values:
+        result += value
+    return result

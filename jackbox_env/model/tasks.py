@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.model.scene import Scene, SceneNumbers, total
+from jackbox_env.model.scene import Scene, SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -30,6 +30,7 @@ from jackbox_env.model.states import (
     Array,
     State,
     as_start,
+    total,
 )
 from jackbox_env.tools import checks as check
 

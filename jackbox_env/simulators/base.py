@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored
+from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored, total
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.one_thread import ThreadNote, in_use
 
@@ -58,10 +58,7 @@ def end_of_step(time: float, dt: float) -> float:
 
 def total_impulse(impacts: Sequence[Impact]) -> float:
     """Sum of the impulses [N s], added in order as the compiled code does."""
-    impulse = 0.0
-    for impact in impacts:
-        impulse += impact.impulse
-    return impulse
+    return total([impact.impulse for impact in impacts])
 
 
 class StepResult(NamedTuple):

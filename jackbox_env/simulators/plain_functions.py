@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple, cast
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple, cast
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from jackbox_env.model.action import ACTIONS, Action
 from jackbox_env.model.observation import (
@@ -25,16 +27,16 @@ from jackbox_env.simulators import Impact, Simulator
 from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
-Seen = NDArray[Any]  # float32, or uint8 pictures
+Observed = NDArray[Any]  # float32, or uint8 pictures
 
 
 _ARITHMETIC = ArithmeticError, ValueError  # math.log(0.0) raises a ValueError
 
 
-NO_OBSERVATION: Seen = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
+NO_OBSERVATION: Observed = np.empty(0, dtype=np.float32)  # in place of an observation that is not wanted
 
 
-class Nouns(NamedTuple):
+class Interface(NamedTuple):
     """What an agent earns, observes and does."""
 
     task: Task
@@ -58,7 +60,7 @@ class Nouns(NamedTuple):
         pictures = self.pixels and gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
         return pictures or gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
 
-    def unfilled(self, count: int) -> Seen:
+    def new_observations(self, count: int) -> Observed:
         """Memory for so many observations."""
         one, kind = (self.pixels.shape, np.uint8) if self.pixels else ((len(self.observation.names),), np.float32)
         return np.empty((count, *one), dtype=kind)
@@ -75,20 +77,20 @@ class ControlStep(NamedTuple):
     terms: Sequence[float]  # of the reward
     reward: float
     over: bool  # whether it terminates the episode
-    seen: Seen  # observation at its end, or empty
+    observation: Observed  # at its end, or empty
 
 
 new_step: Callable[..., ControlStep] = tuple.__new__  # twice as fast as ControlStep(...)
 
 
-class PlainFunctions:
-    """An agent's functions in a scene, in plain Python."""
+class Functions(ABC):
+    """What an agent earns, observes and does in a scene, in the arithmetic of its contact model."""
 
-    def __init__(self, scene: Scene, nouns: Nouns) -> None:
-        self._numbers, self.nouns, self._known = scene.numbers, nouns, nouns.task in TASKS.values()
+    interface: Interface
 
-    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, seen: bool) -> ControlStep:
-        """Step a simulator of the scene, score its state, and observe it if it is to be ``seen``.
+    @abstractmethod
+    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, observed: bool) -> ControlStep:
+        """Step a simulator of the scene, score its state, and observe it if it is to be ``observed``.
 
         The arguments of the step are checked.
 
@@ -97,11 +99,51 @@ class PlainFunctions:
             TaskError: the reward is NaN or infinite, or a number of the observation NaN.
             JackLostError: the jack cannot be followed.
         """
+
+    @abstractmethod
+    def observe(self, state: Array, time: float) -> Observed:
+        """The observation of a state, shape (12,), at a time [s].
+
+        Raises:
+            TypeError: the function of a user's observation returns a wrong type.
+            TaskError: a number is NaN.
+        """
+
+    @abstractmethod
+    def share(self, state: Array, action: Array, time: float, dt: float) -> float:
+        """The torque over its limit, not clipped; arguments as of ``Action.share``."""
+
+    @abstractmethod
+    def of(self, scene: Scene) -> Functions:
+        """The same for another scene."""
+
+    def check_types(self, state: Array, control_dt: float | None = None) -> None:  # noqa: B027
+        """Evaluate a user's plain functions in a start, without torque and impulse, to see wrong types early.
+
+        Arithmetic errors are ignored, as perhaps no step begins or ends in this state. With a ``control_dt`` [s] the
+        observation and the action that is nearest to zeros are evaluated too. Types of compiled functions are known
+        when they are compiled.
+
+        Raises:
+            TypeError: a function returns a wrong type.
+        """
+
+
+class PlainFunctions(Functions):
+    """An agent's functions in plain Python."""
+
+    def __init__(self, scene: Scene, interface: Interface) -> None:
+        self._numbers, self.interface, self._known = scene.numbers, interface, interface.task in TASKS.values()
+
+    @override
+    def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, observed: bool) -> ControlStep:
         stored, time, mean, impacts = simulator.step_checked(dt, torque)
         after, impulse = State(*stored), total_impulse(impacts) if impacts else 0.0
         terms, over = self.score(after, mean, impulse)
-        observation = observe_named(self._numbers, after, time, self.nouns.observation) if seen else NO_OBSERVATION
-        reward = checked_reward(self.nouns.task, terms)
+        observation = (
+            observe_named(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION
+        )
+        reward = checked_reward(self.interface.task, terms)
         return new_step(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
 
     def score(self, after: State, torque: float, impulse: float) -> tuple[Sequence[float], bool]:
@@ -112,7 +154,7 @@ class PlainFunctions:
             torque: mean over the step [N m].
             impulse: of its impacts [N s].
         """
-        over, task = False, self.nouns.task
+        over, task = False, self.interface.task
         values = task.values(self._numbers, after, torque, impulse)
         terms = cast("tuple[float, ...]", values) if self._known else checked_terms(task, values)
         if task.over is not None:
@@ -121,42 +163,27 @@ class PlainFunctions:
                 raise TypeError(f"a task's over must return True or False, got {check.shown(over)}")
         return terms, bool(over)
 
-    def observe(self, state: Array, time: float) -> Seen:
-        """The observation of a state, shape (12,), at a time [s].
+    @override
+    def observe(self, state: Array, time: float) -> Observed:
+        return observe_named(self._numbers, State(*state.tolist()), time, self.interface.observation)
 
-        Raises:
-            TypeError: the function of a user's observation returns a wrong type.
-            TaskError: a number is NaN.
-        """
-        return observe_named(self._numbers, State(*state.tolist()), time, self.nouns.observation)
-
+    @override
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:
-        """The torque over its limit, not clipped; arguments as of ``Action.share``."""
-        return self.nouns.action.share(self._numbers, State(*state.tolist()), action, time, dt)
+        return self.interface.action.share(self._numbers, State(*state.tolist()), action, time, dt)
 
+    @override
     def of(self, scene: Scene) -> PlainFunctions:
-        """The same for another scene."""
-        return PlainFunctions(scene, self.nouns)
+        return PlainFunctions(scene, self.interface)
 
-
-def tried(functions: object, state: Array, control_dt: float | None = None) -> None:
-    """Evaluate a user's plain functions in a start, without torque and impulse, to see wrong types early.
-
-    Arithmetic errors are ignored, as perhaps no step begins or ends in this state. With a ``control_dt`` [s] the action
-    that is nearest to zeros is tried too. Types of compiled functions are known when they are compiled.
-
-    Raises:
-        TypeError: a function returns a wrong type.
-    """
-    if not isinstance(functions, PlainFunctions):
-        return
-    with suppress(*_ARITHMETIC):
-        functions.score(State(*state.tolist()), 0.0, 0.0)
-    if control_dt is None:
-        return
-    with suppress(*_ARITHMETIC, TaskError):
-        functions.observe(state, 0.0)
-    action = functions.nouns.action
-    if action is not ACTIONS["torque"]:
+    @override
+    def check_types(self, state: Array, control_dt: float | None = None) -> None:
         with suppress(*_ARITHMETIC):
-            functions.share(state, action.checked(np.zeros(action.size) if action.size else 0)[:, 0], 0.0, control_dt)
+            self.score(State(*state.tolist()), 0.0, 0.0)
+        if control_dt is None:
+            return
+        with suppress(*_ARITHMETIC, TaskError):
+            self.observe(state, 0.0)
+        action = self.interface.action
+        if action is not ACTIONS["torque"]:
+            with suppress(*_ARITHMETIC):
+                self.share(state, action.checked(np.zeros(action.size) if action.size else 0)[:, 0], 0.0, control_dt)

@@ -50,7 +50,7 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies
 from typing_extensions import override
 
 from jackbox_env.model.mechanics import energy_of
-from jackbox_env.model.scene import Drive, Scene, total
+from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import (
     OMEGA_BOX,
     RATES,
@@ -65,6 +65,7 @@ from jackbox_env.model.states import (
     Array,
     clearance,
     deepest_restored,
+    total,
 )
 from jackbox_env.simulators.base import JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.simulators.contacts import ContactRecorder, iterations_for

@@ -19,7 +19,7 @@ from jackbox_env.model.observation import (
 )
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.tasks import TASKS, Task
-from jackbox_env.simulators.plain_functions import Nouns, PlainFunctions, tried
+from jackbox_env.simulators.plain_functions import Interface, PlainFunctions
 
 if TYPE_CHECKING:
     from jackbox_env.jit.compiler import UsersFunctions
@@ -136,9 +136,9 @@ def _check_returned(
 
 def _without_compiling(owner: Task | Observation | Action) -> str:
     """The advice if pymunk's environments accept what cannot be compiled; else empty."""
-    nouns = Nouns(TASKS["juggle"])._replace(**cast(Any, {type(owner).__name__.lower(): owner}))
+    interface = Interface(TASKS["juggle"])._replace(**cast(Any, {type(owner).__name__.lower(): owner}))
     try:
-        tried(PlainFunctions(Scene(), nouns), np.zeros(12), 0.02)
+        PlainFunctions(Scene(), interface).check_types(np.zeros(12), 0.02)
     except Exception:
         return ""
     return "; environments with fidelity='balanced' run it"

@@ -335,7 +335,7 @@ class Alike:
 
     def restore(self, draw: random.Random) -> None:
         """Scene, state and time are all that single environments need, if no picture shows the steps before."""
-        if not self.shared["render_mode"] and self.rows[0].env.nouns.pixels is None:
+        if not self.shared["render_mode"] and self.rows[0].env.interface.pixels is None:
             for number, row in self.rows.items():
                 row.restore_in(self.single(number))
         self.step(draw)

@@ -23,7 +23,7 @@ from jackbox_env import Action, JackInBoxEnv, JackInBoxVectorEnv, Observation, T
 from jackbox_env.exact import score
 from jackbox_env.exact.threads import Threads
 from jackbox_env.jit import compiler
-from jackbox_env.model.scene import total
+from jackbox_env.model.states import total
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.sb3 import make_sb3_vec_env
 from jackbox_env.simulators import CONTACT_MODELS

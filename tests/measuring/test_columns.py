@@ -101,14 +101,6 @@ def test_angles_that_wrap_are_unwrapped_and_others_are_not() -> None:
     assert observed(Recording.from_frame(fast, STILL), "theta_jack") == [0.0, 4.0, 8.0, 12.0]
 
 
-def test_a_cross_that_is_seen_modulo_a_quarter_turn_is_unwrapped_by_quarter_turns() -> None:
-    angles = 0.3 + np.linspace(0.0, 20.0, 100)
-    columns = {"time": 0.02 * np.arange(100), "theta_jack [deg]": np.degrees(angles) % 90.0}
-    recording = Recording.from_frame(columns, STILL)
-    np.testing.assert_allclose(observed(recording, "theta_jack"), angles, atol=1e-12)
-    assert recording.notes == ("theta_jack wraps: 12 jumps of a quarter turn were taken out",)
-
-
 @pytest.mark.parametrize("digits", [3, 4])
 def test_rounded_times_are_even_and_dropped_frames_are_left_open(digits: int) -> None:
     frames = np.delete(np.arange(600), [7, 30, 31, 500])
