@@ -1,12 +1,14 @@
 """The architecture: imports between packages go one way, and none is of another package's privates.
 
 Imports inside functions count too, and no modules form a circle.
+``python tests/test_architecture.py`` prints rooms, floors, arrows and statements.
 """
 
 from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -188,3 +190,40 @@ def test_a_circle_within_a_package_is_seen(tmp_path: Path) -> None:
     bad.write_text("from agents.policies import registry")
     policies = {name: path for name, path in _sources().items() if name.startswith("agents.policies")}
     assert "agents.policies.registry" in _circle(policies | {"agents.policies.network": bad})
+
+
+def _statements(path: Path) -> int:
+    """The statements of a file without its docstrings."""
+    nodes = (node for node in ast.walk(_tree(path)) if isinstance(node, ast.stmt))
+    return sum(not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)) for node in nodes)
+
+
+def _purpose(sources: dict[str, Path], room: str) -> str:
+    """The first line of a room's docstring."""
+    return str(ast.get_docstring(ast.parse(sources[room].read_text()))).splitlines()[0]
+
+
+def _layout() -> list[str]:
+    """Rooms of the package with their statements, from the ground up, and the numbers of rooms, floors and arrows."""
+    sources = {name: path for name, path in _sources().items() if name.startswith("jackbox_env.")}
+    arrows, statements = {_package(name): set[str]() for name in sources}, Counter[str]()
+    for name, imported in _graph(sources).items():
+        arrows[_package(name)] |= {_package(one) for one in imported} - {_package(name)}
+        statements[_package(name)] += _statements(sources[name])
+    floor = dict[str, int]()
+    for room in TopologicalSorter(arrows).static_order():
+        floor[room] = 1 + max([floor[below] for below in arrows[room]], default=0)
+    rows = [
+        f"{floor[room]} {room.split('.')[1]:<11}{statements[room]:6,}  {_purpose(sources, room)}"
+        for room in sorted(floor, key=lambda room: floor[room])
+    ]
+    count = sum(map(len, arrows.values()))
+    return [
+        "floor, room, statements",
+        *rows,
+        f"{statements.total():6,} statements, {len(floor)} rooms, {max(floor.values())} floors, {count} arrows",
+    ]
+
+
+if __name__ == "__main__":
+    print(*_layout(), sep="\n")
