@@ -61,7 +61,7 @@ def by_python(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """The numbers that ``stepping.js`` returns, by the environment."""
     scene = Scene.of(case.fields)
     keywords: dict[str, Any] = {"task": case.task, "control_dt": case.dt, "observation": "landing"}
-    env: Any = gym.make("JackInBox-v0", scene=scene, contact="exact", **keywords).unwrapped
+    env: Any = gym.make("JackInBox-v0", scene=scene, contact="exact", episode_steps=None, **keywords).unwrapped
     env.reset()
     env.set_state(sample_start(scene, generator_of(seeded(1))))
     numbers, observations = list[float](), list[NDArray[np.float32]]()

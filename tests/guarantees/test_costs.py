@@ -196,7 +196,9 @@ def test_a_feature_runs_if_it_is_on_and_does_not_if_it_is_off(proof: Proof) -> N
     assert having > 0
 
 
-@pytest.mark.parametrize(("model", "solved"), [(PYMUNK, "Recorder.__call__"), (EXACT, "resolve"), (BATCH, "resolve")])
+@pytest.mark.parametrize(
+    ("model", "solved"), [(PYMUNK, "ContactRecorder.__call__"), (EXACT, "resolve"), (BATCH, "resolve")]
+)
 def test_the_steps_counted_have_impacts_with_weight_and_without(model: str, solved: str) -> None:
     for scene in (Scene(), WEIGHTLESS, UNDRIVEN):
         assert times_called(count_once(model, scene=scene), solved) > 0
