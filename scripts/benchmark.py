@@ -39,7 +39,7 @@ class Arguments:
 
 
 def trained(train: str, code: str, task: str, seed: int, episodes: int) -> dict[str, Any]:
-    """One training by the function of that name; ``code`` tells versions of its file apart."""
+    """One training by the function of that name; ``code`` is its file's digest: a changed file is another trial."""
     from scripts.studies.benchmark.trainings import measured
 
     return measured(train, loaded(train), task, seed, episodes)

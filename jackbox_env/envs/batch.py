@@ -5,7 +5,7 @@ as it was or all as the change leaves it:
 
 - *prepare*: compute the environments after the change, in memory that is not in use. Only this may raise.
 - *commit*: replace the present by them, in one assignment.
-- *finish*: make what is not in the present agree with it. The next use does so again first. Thus a change that was
+- *finish*: make what is not in the present agree with it. The next call does this again first. So a change that was
   interrupted after its commit is finished, and what *prepare* moved before an error is moved back.
 
 The vector environment prepares and commits; what raises before that, such as drawing starts, changes nothing.

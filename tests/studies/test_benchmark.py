@@ -94,3 +94,13 @@ def test_an_algorithm_of_ones_own_is_evaluated_from_starts_that_it_cannot_know()
 def test_what_is_no_model_is_refused(trained: Any, sentence: str) -> None:
     with pytest.raises((TypeError, ValueError), match=re.escape(sentence)):
         trainings.playing(trained)
+
+
+@pytest.mark.parametrize("contact", ["exact", "pymunk"])
+def test_the_setting_without_rates_has_the_other_numbers_of_state(contact: str) -> None:
+    start = {"state": np.linspace(-0.9, 1.3, 12)}
+    seen, whole = (
+        gym.make("JackInBox-v0", contact=contact, **keywords).reset(options=start)[0]
+        for keywords in (trainings.SETTINGS["no rates"], {})
+    )
+    np.testing.assert_allclose(seen, whole[[0, 1, 4, 5, 7, 8]], rtol=1e-6)

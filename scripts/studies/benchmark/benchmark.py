@@ -61,6 +61,7 @@ class Arguments(study.Arguments):
             check.known_keys(name, getattr(self, name), known)
         for name in ("episodes", "planner_episodes"):
             check.whole(name, getattr(self, name), at_least=4)
+        check.whole("seeds", 1 if self.seeds is None else self.seeds, at_least=1)
 
 
 def trials(arguments: Arguments) -> study.Trials:
@@ -94,7 +95,7 @@ def trials(arguments: Arguments) -> study.Trials:
 
 
 def _of(row: dict[str, Any]) -> tuple[str, ...]:
-    """What tells a training from others; seeds in their order as text."""
+    """The key of a training in the record."""
     return tuple(str(row.get(name, "")) for name in ("algorithm", "setting", "task", "fidelity", "seed"))
 
 
@@ -284,7 +285,7 @@ def _against(row: dict[str, Any]) -> str:
 
 
 def draw(record: study.Record, folder: Path) -> None:
-    """Draw what each algorithm earns by control steps and by processor seconds, and what policies earn."""
+    """Draw what each algorithm earns by decisions and by processor seconds, and what policies earn."""
     from matplotlib.figure import Figure
 
     from jackbox_env.commands.plots import BOX, GREY, JACK

@@ -7,7 +7,6 @@ observations.
 
 from __future__ import annotations
 
-import math
 import os
 import secrets
 from collections.abc import Callable, Iterator
@@ -31,6 +30,7 @@ from agents.training.models import derived_seed
 from agents.training.networks import run_of
 from agents.training.ppo import trained_in
 from jackbox_env import Observation
+from jackbox_env.model.observation import state_values
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.reading import read_json
 from scripts.recipes.with_sb3 import train
@@ -45,10 +45,9 @@ ALGORITHMS = (SHIPPED_PPO, "PPO", "TQC", "SAC", "DQN")
 
 
 def positions(scene: Any, state: Any, time: float) -> tuple[float, ...]:
-    """Where the jack is in the box, and the angles of both: "state" without its rates."""
-    x, y, box = state.x_jack - state.x_box, state.y_jack - state.y_box, state.theta_box
-    half, cross = scene.box_half_width, 4.0 * (state.theta_jack - box)
-    return x / half, y / half, math.cos(box), math.sin(box), math.cos(cross), math.sin(cross)
+    """The numbers of "state" that are no rates: the jack's place in the box's frame, and the angles of both."""
+    x, y, _, _, cosine, sine, _, cosine_4, sine_4, _ = state_values(scene, state, time)
+    return x, y, cosine, sine, cosine_4, sine_4
 
 
 SETTINGS: dict[str, dict[str, Any]] = {  # keywords of the environment
