@@ -41,11 +41,11 @@ def train(
     points: int = 1,
     **keywords: Any,
 ) -> Iterator[Any]:
-    """Train for ``steps`` actions. Yield the model and its keywords, ``points`` times."""
+    """Train for ``steps`` actions. Yield the model and what it does, ``points`` times."""
     kind, network, num_envs, most, settings = ALGORITHMS[algorithm]
     action = "discrete" if kind is DQN else "torque"  # discrete: full torque, none, or the reverse
-    chosen = {"action": action, "action_repeat": 4, **keywords}
-    envs = make_sb3_vec_env(num_envs, fidelity="exact", task=task, **chosen)
+    chosen = {"action": action, "action_repeat": 4}
+    envs = make_sb3_vec_env(num_envs, fidelity="exact", task=task, **chosen, **keywords)
     model = kind(network, envs, **settings, seed=seed, device="cpu")
     for _ in range(points):
         model.learn((steps or most) // points, reset_num_timesteps=False, progress_bar=points == 1)

@@ -14,6 +14,7 @@ from agents.evaluation.returns import evaluate
 from agents.policies.registry import find_policy
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxVectorEnv, Scene
+from scripts.recipes import with_sb3
 from scripts.studies.benchmark import policies, trainings
 from scripts.studies.benchmark.benchmark import _middle, interval, verdict
 
@@ -104,3 +105,12 @@ def test_the_setting_without_rates_has_the_other_numbers_of_state(contact: str) 
         for keywords in (trainings.SETTINGS["no rates"], {})
     )
     np.testing.assert_allclose(seen, whole[[0, 1, 4, 5, 7, 8]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("setting", trainings.SETTINGS)
+def test_algorithms_are_trained_and_evaluated_in_each_setting(setting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(
+        with_sb3.ALGORITHMS, "PPO", (*with_sb3.ALGORITHMS["PPO"][:2], 2, 100, {"n_steps": 10, "batch_size": 20})
+    )
+    row = trainings.training("", "PPO", setting, "juggle", 0, 4)
+    assert (row["setting"], len(row["curve"]), row["steps"][-1]) == (setting, trainings.POINTS, 200)

@@ -74,7 +74,7 @@ def playing(trained: Any) -> PolicyWithEnv:
         if not callable(policy):
             raise TypeError(f"train must return a model with predict or a function, got {check.shown(policy)}")
         policy = StatelessPolicy(policy)
-    return PolicyWithEnv(policy, {**PLAIN, **keywords})
+    return PolicyWithEnv(policy, keywords)
 
 
 def measured(
@@ -82,7 +82,7 @@ def measured(
 ) -> dict[str, Any]:
     """Train, and evaluate on starts that are drawn afterwards, from a seed that the training cannot know."""
     torch.set_num_threads(1)  # small networks are fastest on one thread
-    keywords = EnvSettings(task=task).env_settings | SETTINGS[setting]
+    keywords = EnvSettings(task=task).env_settings | PLAIN | SETTINGS[setting]
     make_first = gym.make_vec("JackInBox-v0", 1, **keywords)  # compiles, which is no time of the training
     make_first.close()
     spent, points = -seconds(), list[tuple[Any, ...]]()
