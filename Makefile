@@ -18,7 +18,7 @@ SELECTED := -m "not slow"
 # What calls Gymnasium.
 UNDER_OLD_GYMNASIUM := --deselect tests/guarantees/test_bits.py::test_every_kind_of_environment_does_the_same_whatever_is_called \
 	$(addprefix tests/,environment/test_env.py environment/test_starts_and_settings.py environment/test_tools.py \
-	batches/test_vector_env.py guarantees/test_bits.py refusals/test_refusals.py)
+	batches/test_vector_env.py guarantees/test_bits.py)
 # Settings in which PyTorch, MKL, OpenBLAS and numpy 2.4 use code for other processors; + joins several.
 OTHER_NUMPY := NPY_DISABLE_CPU_FEATURES=X86_V3,X86_V4,AVX512_ICL
 ROUNDINGS := ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Haswell \

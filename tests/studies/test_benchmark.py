@@ -112,5 +112,6 @@ def test_algorithms_are_trained_and_evaluated_in_each_setting(setting: str, monk
     monkeypatch.setitem(
         with_sb3.ALGORITHMS, "PPO", (*with_sb3.ALGORITHMS["PPO"][:2], 2, 100, {"n_steps": 10, "batch_size": 20})
     )
+    monkeypatch.setattr(trainings, "CURVE_EPISODES", 2)
     row = trainings.training("", "PPO", setting, "juggle", 0, 4)
     assert (row["setting"], len(row["curve"]), row["steps"][-1]) == (setting, trainings.POINTS, 200)
