@@ -38,7 +38,7 @@ def below(scene: Any, rng: np.random.Generator) -> Any:
 class Arguments:
     """Evaluate before and after training, on the same starts."""
 
-    total_steps: int = 400_000
+    total_steps: int = 200_000
     """Control steps to train for."""
     episodes: int = 64
     """Episodes of each policy, run together."""
