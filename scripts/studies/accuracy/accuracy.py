@@ -197,8 +197,8 @@ def _within(results: Results) -> str:
 
 def reference_table(results: Results) -> str:
     """The settings on the proven cases, by correct impacts."""
-    rows = []
-    for name in (one for one in ranking(results) if not one.endswith((", 2 substeps", ", 4 substeps", ", 16 substeps"))):
+    rows, coarser = [], (", 2 substeps", ", 4 substeps", ", 16 substeps")
+    for name in (one for one in ranking(results) if not one.endswith(coarser)):
         correct, known, first, depth, energy, escaped, cost = (
             results.rows.get((name, REFERENCE, quantity), Row(name, "", None, REFERENCE, quantity, "", 0))
             for quantity in ("prefix", "known", "first_1", "depth", "imbalance", "escaped", COST)
