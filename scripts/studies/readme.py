@@ -93,7 +93,8 @@ def environment_page() -> str:
     rest = example.sub(lambda match: f"```pycon\n{match[0]}```\n", rest)
     picture = "![The chirp, a trained agent and a planner, from the same start](jackbox.gif)"
     sketch = "![Box, jack, angles and signs](sketch.svg)"
-    return f"# JackInBox-v0\n\n{picture}\n\n{first}\n\n{sketch}\n{rest}"
+    whom = "*For everybody who steps the environment: its contract, whole.*"
+    return f"# JackInBox-v0\n\n{whom}\n\n{picture}\n\n{first}\n\n{sketch}\n{rest}"
 
 
 @command_line

@@ -118,10 +118,11 @@ def answer(findings: Findings) -> str:
 
 
 def page(findings: Findings) -> str:
-    """The part of docs/trust.md on extremes, of the rows that are recorded."""
+    """The part of docs/trust.md on extremes: the rows in which not all findings are errors without a unit."""
     lines = [answer(findings), "", f"| what | {' | '.join(CONTACT_MODELS)} |", "|---|" + "---|" * len(CONTACT_MODELS)]
     for case in CASES:
         row = [findings.get((case.what, contact), Finding("", "not measured")) for contact in CONTACT_MODELS]
         cells = [case.what, *(closest(one) for one in row)]
-        lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
+        if not all(re.fullmatch(r".* [-\d.e]+ of [-\d.e]+", cell) for cell in cells[1:]):
+            lines.append("| " + " | ".join(" ".join(cell.replace("|", "\\|").split()) for cell in cells) + " |")
     return "\n".join(lines)

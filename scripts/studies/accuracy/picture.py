@@ -194,7 +194,7 @@ def draw_engines(results: Results, settings: Sequence[str], path: Path) -> None:
         xlabel="computing time per simulated second",
         ylabel="correct impacts [%]",
     )
-    axes.set_xticks([1e2, 1e3, 1e4, 1e5], ["0.1 ms", "1 ms", "10 ms", "0.1 s"])
+    axes.set_xticks([1e2, 1e3, 1e4, 1e5, 1e6], ["0.1 ms", "1 ms", "10 ms", "0.1 s", "1 s"])
     axes.set_title("Proven impacts that are right, against computing time", loc="left", fontsize="medium")
     axes.grid()
     with replacing(path) as partial:

@@ -19,7 +19,7 @@ import numpy as np
 
 from jackbox_env import Drive, Scene, Task
 from jackbox_env.model.tasks import TASKS, juggle
-from scripts.studies.pages import figure, rounded, table
+from scripts.studies.pages import figure, table
 from scripts.studies.speed.measured import DT, EPISODE, TOGETHER, play, vector_env
 from scripts.studies.timing import Rates, Timed, repeat
 
@@ -64,17 +64,16 @@ IN_BATCHES: dict[str, dict[str, Any]] = {  # kinds of steps that only batches ar
     "redrawn": {**_RESTARTING, "randomize": _RANGES},
     "own task": {"task": Task(TASKS["juggle"].terms, _juggled)},
 }
-ARM, FRAME = "more impacts: an arm of 8 m", "a frame drawn in each step"
-FUNCTION = "a torque that is a Python function, in place of the chirp"
+ARM = "more impacts: an arm of 8 m"
 THINGS = {  # the kinds of steps with them and without
     "gravity": ("plain", "weightless"),
     "task rattle, in place of juggle": ("rattle", "plain"),
     "the chirp, in place of a held torque": ("chirp", "plain"),
-    FUNCTION: ("function", "chirp"),
+    "a torque that is a Python function, in place of the chirp": ("function", "chirp"),
     "side forces that are Python functions": ("pushed", "plain"),
     ARM: ("long arm", "plain"),
     "a `render_mode`, nothing drawn": ("picture", "plain"),
-    FRAME: ("drawn", "picture"),
+    "a frame drawn in each step": ("drawn", "picture"),
     "stepped in a batch of 16": ("together", "plain"),
     "`with_infos` of a batch": ("infos", "plain"),
     "a scene for each environment": ("own scenes", "plain"),
@@ -150,15 +149,14 @@ def figures(rates: Rates) -> dict[str, Any]:
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def cell(values: Sequence[float] | None, plain: float) -> str:
-    """Nanoseconds, and the share of a plain step."""
+def cell(values: Sequence[float] | None) -> str:
+    """Nanoseconds on top of a plain step."""
     if values is None:
         return ""
     if min(values) <= 0.0 <= max(values):  # not of one sign in all rounds
         return "below noise"
     middle = statistics.median(values)
-    share = middle / plain
-    return f"{'+' if middle > 0.0 else ''}{figure(middle)} ({share:{'+,.0%' if abs(share) > 0.1 else '+.1%'}})"
+    return f"{'+' if middle > 0.0 else ''}{figure(middle)}"
 
 
 def filled(results: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,14 +164,12 @@ def filled(results: Mapping[str, Any]) -> dict[str, Any]:
     on_top, impacts = results["on_top"], results["impacts"]
     plain = {model: statistics.median(values) for model, values in results["plain"]["a plain step"].items()}
     more = impacts["long arm"] - impacts["usual"]
-    rows = [[what, *(cell(costs.get(model), plain[model]) for model in MODELS)] for what, costs in on_top.items()]
+    rows = [[what, *(cell(costs.get(model)) for model in MODELS)] for what, costs in on_top.items()]
     return {
         "table": table(
             ("on top of a plain step [ns]", *MODELS),
             [["**a plain step**", *(f"**{figure(plain[model])}**" for model in MODELS)], *rows],
         ),
-        "frame": rounded(statistics.median(on_top[FRAME][PYMUNK])),
-        "function": rounded(statistics.median(on_top[FUNCTION][PYMUNK])),
         "impacts": impacts,
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
     }

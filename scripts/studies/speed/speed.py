@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from scripts.studies import study, timing
-from scripts.studies.pages import figure, rounded, table
+from scripts.studies.pages import figure, rounded
 from scripts.studies.speed import costs
 from scripts.studies.speed import measured as these
 from scripts.studies.timing import Rates
@@ -89,21 +89,6 @@ def with_earlier(new: study.Record, stored: study.Record) -> study.Record:
 # -- the page ----------------------------------------------------------------------------------------------------------
 
 
-def _section(results: Mapping[str, Any]) -> str:
-    """The ratios of a part, those of an earlier run last."""
-    ratios = [[what, *_cells(values)] for what, values in results["ratios"].items()]
-    ratios += [[f"{what} (earlier, see below)", *_cells(one["values"])] for what, one in results["kept"].items()]
-    earlier = [
-        f"Not installed here, and measured earlier: {what}. {one['made']}" for what, one in results["kept"].items()
-    ]
-    return "\n\n".join([table(("ratio", "median", "smallest to largest"), ratios), *earlier])
-
-
-def _cells(values: list[float]) -> list[str]:
-    """The median, and the extremes."""
-    return [figure(statistics.median(values)), f"{figure(min(values))} to {figure(max(values))}"]
-
-
 def filled(results: study.Record) -> dict[str, Any]:
     """The numbers of docs/speed.md."""
     together = results["together"]
@@ -112,12 +97,13 @@ def filled(results: study.Record) -> dict[str, Any]:
         for part, of in results.items()
         if part in RATIOS
     }
+    kept = {what: one["values"] for part in rates for what, one in results[part]["kept"].items()}
+    ratios = kept | {what: values for part in rates for what, values in results[part]["ratios"].items()}
     return {
         "one": {name: rates["alone"][of] for name, of in ONE.items()},
         "batch": rates["together"][these.BATCH],
-        "over": over_cart_pole(together),
         "start": {name: rounded(statistics.median(results["start"][name])) for name in ("cold", "warm")},
-        "tables": {part: _section(results[part]) for part in rates},
+        "ratios": {what: figure(statistics.median(values)) for what, values in ratios.items()},
         "costs": costs.filled(results["costs"]),
         "lost": together["lost"],
         "memory": results["start"],
