@@ -18,7 +18,6 @@ from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_c
 from jackbox_env.exact.workspace import Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
 from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.action import ACTIONS, Repeat
-from jackbox_env.model.observation import STATE
 from jackbox_env.model.randomization import Randomization, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, Flags, Floats, Indices
@@ -27,7 +26,7 @@ from jackbox_env.render.raster import Past
 from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.exact import ensure_compiled
 from jackbox_env.simulators.plain_functions import Interface
-from jackbox_env.simulators.users_functions import compiled_for
+from jackbox_env.simulators.users_functions import compiled_for, observer_of
 
 _FEWEST_PER_THREAD = 4096  # below that, waking a thread costs more than it saves
 _GRAIN = 4  # blocks that are worth a call
@@ -95,7 +94,7 @@ class ExactBatch:
         task, observation, action, _ = self._interface
         plain = action is ACTIONS["torque"]
         scorer = compiled_for(task, score.score_block)
-        observer = compiled_for(observation, score.observe_block if observation is STATE else score.observe_rows)
+        observer = observer_of(observation)
         actor = None if plain else compiled_for(action, score.act_block)
         self._compiled = scorer, observer, actor
         self._rules = Rules(

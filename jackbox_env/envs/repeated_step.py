@@ -15,10 +15,9 @@ from jackbox_env.model.observation import Observation, bad_observation
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Floats
 from jackbox_env.model.tasks import TaskError
-from jackbox_env.simulators.agent_functions import CompiledFunctions, bad_reward
-from jackbox_env.simulators.base import StepResult
+from jackbox_env.simulators.agent_functions import CompiledFunctions
 from jackbox_env.simulators.exact import ExactSimulator, failure
-from jackbox_env.simulators.plain_functions import Interface
+from jackbox_env.simulators.plain_functions import ControlStep, Interface
 
 
 class RepeatedStep(NamedTuple):
@@ -31,8 +30,8 @@ class RepeatedStep(NamedTuple):
     row: Array  # before the step, (16,)
     controls: Array | None  # the numbers of its action, (n,); None: the drive acts
 
-    def steps(self) -> Iterator[StepResult]:
-        """The results of its control steps, without end."""
+    def steps(self) -> Iterator[ControlStep]:
+        """Its control steps, without end."""
         simulator, functions = ExactSimulator(self.scene), CompiledFunctions(self.scene, self.interface)
         simulator.reset(self.row[:12], float(self.row[TIME]))
         torque = None
@@ -41,8 +40,8 @@ class RepeatedStep(NamedTuple):
                 share = float(self.controls[0])
                 if self.interface.action is not ACTIONS["torque"]:
                     share = functions.share(simulator.state, self.controls, simulator.time, self.dt)
-                torque = clipped_share(share, f", in environment {self.number}") * self.scene.torque_limit
-            yield simulator.step(self.dt, torque)
+                torque = clipped_share(share) * self.scene.torque_limit
+            yield functions.step_and_score(simulator, self.dt, torque, False)
 
     def failure(self, ended: int, made: int, observations: Floats) -> Exception:
         """The error of a batch's step that failed with the status ``ended``, after ``made`` control steps.
@@ -56,11 +55,11 @@ class RepeatedStep(NamedTuple):
         time = float(np.add.accumulate([self.row[TIME], *[self.dt] * made])[-1])
         if ended in (Status.BAD_REWARD, Status.BAD_TORQUE, Status.TOO_LATE, Status.NO_DRIVE):
             try:
-                step = next(islice(self.steps(), made, None))
+                next(islice(self.steps(), made, None))
+            except TaskError as error:
+                return TaskError(f"{error}, in environment {self.number}")
             except Exception as error:
                 return error
-            if ended == Status.BAD_REWARD:
-                return bad_reward(self.interface.task, self.scene, step, f"environment {self.number}")
             return RuntimeError(
                 f"the drive of environment {self.number} failed at t = {time:g} s, but not when it was called again"
             )

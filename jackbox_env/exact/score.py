@@ -1,11 +1,11 @@
 """What tasks, observations and actions compute, in compiled code: of one state or of a block of rows.
 
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
-or :func:`observe_rows` after the last one. Single environments call :func:`step_and_score` and :func:`act_one`. All are
-called by their address (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with
-its functions in place of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while
-``run`` and ``step_and_score`` are compiled once. For a user's observation :func:`observe_values` replaces
-:func:`observe`. The default observation has a block function of its own, :func:`observe_block`.
+or :func:`observe_rows` after the last one; a single environment is a block of one row. They are called by their address
+(:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with its functions in place
+of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run`` is compiled once. For
+a user's observation :func:`observe_values` replaces :func:`observe`. The default observation has a block function of
+its own, :func:`observe_block`.
 """
 
 from __future__ import annotations
@@ -13,24 +13,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from jackbox_env.exact.geometry import ONE_REDUCTION, cos_sin, cos_sin_within, without_turns
 from jackbox_env.exact.workspace import (
     APPLIED,
-    HEIGHT,
     HITS,
     IMPULSE_SUM,
     OVER,
     TIME,
     TORQUE,
-    Status,
-    arguments_at,
     make_numbers,
 )
-from jackbox_env.jit.compiler import called_at, numbers_in, packed, unpacked_as
+from jackbox_env.jit.compiler import called_at, numbers_in
 from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers
@@ -227,8 +224,6 @@ block_scorer = called_at(
         t.f8[:, ::1], t.f8[:, ::1], t.f8[:, ::1], t.f8[::1], t.i8, t.i8, t.i8, t.f8[::1], t.b1[::1], t.f8[:, ::1]
     )
 )  # fmt: skip
-row_scorer = called_at(lambda t: t.b1(t.f8[::1], t.f8[::1], t.f8, t.f8, t.f8[::1]))
-row_observer = called_at(lambda t: t.b1(t.f8[::1], t.f8[::1], t.f8, t.f4[::1]))
 # Columns of a report: torque and reward's terms, impacts and their impulse, summed over the steps of a decision.
 REPORTED_TORQUE, REPORTED_HITS, REPORTED_IMPULSE, TERMS = range(4)
 
@@ -243,64 +238,11 @@ def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) 
     return False
 
 
-def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> bool:
-    """Fill in the values of the reward's terms after a step to a state. Return whether the episode is over."""
-    scene, named = make_numbers(values), state_in(state)
-    earned = numbers_in(task_terms(scene, named, torque, impulse))
+def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> None:
+    """Fill in the values of the reward's terms after a step to a state, for the page of ``jackbox play``."""
+    earned = numbers_in(task_terms(make_numbers(values), state_in(state), torque, impulse))
     for term in range(len(earned)):
         terms[term] = earned[term]
-    return task_over(scene, named, torque, impulse)
-
-
-class Scoring(NamedTuple):
-    """What observes and scores the states of one scene, and where the results are written."""
-
-    values: Array  # the scene's numbers
-    terms: Array  # of the reward, to be written
-    verdict: Counts  # shape (1,), to be written: 1 if the episode is over, 0 if not, -1 if an observation is NaN
-    observation: Floats  # to be written; of length 0: not wanted
-    observer: Any  # address of ``observe_one``
-    scorer: Any  # address of :func:`score_one`
-
-
-def example() -> Scoring:
-    """A scoring of the types that :func:`step_and_score` is compiled for."""
-    return Scoring(np.zeros(1), np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.float32), 0, 0)
-
-
-scoring_at = unpacked_as(example)
-
-
-def pack_scoring(
-    memory: Array, values: Array, terms: Array, verdict: Counts, observation: Floats, observer: Any, scorer: Any
-) -> Any:
-    """Store a :class:`Scoring` in ``memory``; return the address there."""
-    return packed(memory.ctypes.data, Scoring(values, terms, verdict, observation, observer, scorer))
-
-
-one_row: Any = called_at(lambda t: t.UniTuple(t.i8, 5)(t.i8, t.i8, t.i8, t.i8))
-
-
-def step_and_score(run: Any, address: Any, scoring: Any) -> tuple[int, int]:
-    """Step the only row of a call, then observe and score its state, in one call from Python.
-
-    Args:
-        run: address of ``run.run``.
-        address: of its arguments.
-        scoring: address of a :class:`Scoring`; 0: none.
-
-    Returns:
-        How the step ended, and the number of recorded impacts.
-    """
-    ended, _, _, _, hits = one_row(run)(address, 0, 1, 0)
-    if ended == Status.DONE.value and scoring != 0:
-        call, to = arguments_at(address), scoring_at(scoring)
-        row, scratch = call.after[0].reshape(HEIGHT), call.memory.scratch
-        over = row_scorer(to.scorer)(to.values, row[:12], scratch[TORQUE, 0], scratch[IMPULSE_SUM, 0], to.terms)
-        to.verdict[0] = 1 if over else 0
-        if to.observation.shape[0] and not row_observer(to.observer)(to.values, row[:12], row[TIME], to.observation):
-            to.verdict[0] = -1
-    return ended, hits
 
 
 def score_block(

@@ -117,14 +117,14 @@ class Action:
         return float(share)
 
 
-def clipped_share(share: float, where: str = "") -> float:
+def clipped_share(share: float) -> float:
     """A share of the torque limit within [-1, 1].
 
     Raises:
-        TaskError: it is NaN; ``where`` ends the sentence.
+        TaskError: it is NaN.
     """
     if share != share:
-        raise TaskError(f"the action's torque must be a number, got nan{where}")
+        raise TaskError("the action's torque must be a number, got nan")
     return max(-1.0, min(1.0, share))
 
 

@@ -36,9 +36,9 @@ from jackbox_env.jit.compiler import address_of, compiled
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Scene, scenes_of
 from jackbox_env.model.states import LATEST_TIME, Array, Counts, Flags, as_restored, deepest_restored
-from jackbox_env.model.tasks import Task, task_of
+from jackbox_env.model.tasks import Task, TaskError, task_of
 from jackbox_env.planning import card
-from jackbox_env.simulators.agent_functions import bad_reward
+from jackbox_env.simulators.agent_functions import CompiledFunctions
 from jackbox_env.simulators.base import end_of_step
 from jackbox_env.simulators.exact import (
     NO_PIECES,
@@ -48,6 +48,7 @@ from jackbox_env.simulators.exact import (
     drive_kind,
     failure,
 )
+from jackbox_env.simulators.plain_functions import Interface
 from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check
 
@@ -285,8 +286,11 @@ def run_rollouts(
         if ended == Status.BAD_REWARD and task is not None:
             simulator = ExactSimulator(scene if options.side_forces else scene.changed(drive=None))
             simulator.reset(blocks[step % 2, row // width, :12, row % width], at)
-            failed = simulator.step(dt, torques[row, step // options.repeat])
-            raise bad_reward(task, scene, failed, f"step {step} of {named}")
+            functions, torque = CompiledFunctions(scene, Interface(task)), float(torques[row, step // options.repeat])
+            try:
+                functions.step_and_score(simulator, dt, torque, False)
+            except TaskError as error:
+                raise TaskError(f"{error}, in step {step} of {named}") from None
         raise failure(ended, scene, at, dt, f"the jack of {named}")
     hits, trajectories = np.ascontiguousarray(results.hits.T), results.trajectories
     if tape is not None:

@@ -172,10 +172,10 @@ class Simulator(ABC):
         state, time, mean, impacts = self.step_checked(dt, torque)
         return StepResult(np.array(state), time, mean, impacts)
 
-    def step_checked(self, dt: float, torque: float | None, *scoring: int) -> StepResult:
+    def step_checked(self, dt: float, torque: float | None, *scoring: Any) -> StepResult:
         """As :meth:`step`, for arguments that are checked. A later step may overwrite the result's state.
 
-        ``scoring``: for a ``compiled`` model, the address of the ``exact.score.Scoring`` that its step fills in.
+        ``scoring``: for a ``compiled`` model, the ``Scoring`` of ``exact.py`` that its step fills in.
         """
         inside, thread = self._inside, get_ident()
         if inside.setdefault(0, thread) != thread:

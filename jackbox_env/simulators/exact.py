@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,7 +40,6 @@ from typing_extensions import override
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import AGAIN, repaired, with_all
 from jackbox_env.exact.run import run
-from jackbox_env.exact.score import one_row, step_and_score
 from jackbox_env.exact.search import MOST_WORK
 from jackbox_env.exact.step import CHIRP, CONSTANT, CONSTANT_BESIDE_FORCES, FUNCTIONS
 from jackbox_env.exact.workspace import (
@@ -56,7 +55,7 @@ from jackbox_env.exact.workspace import (
     new_memory,
     new_workspaces,
 )
-from jackbox_env.jit.compiler import address_of, compiled
+from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, too_many_turns
 from jackbox_env.model.states import Array, Counts, Numbers
 from jackbox_env.simulators.base import Impact, JackLostError, Simulator, StepResult, end_of_step
@@ -159,6 +158,18 @@ def ensure_compiled(lossy: bool = False) -> None:
         with_all(new_workspaces())
 
 
+class Scoring(NamedTuple):
+    """How a step is rewarded and observed, in compiled code, and where the results are written."""
+
+    score: int = 0  # address of the task's ``score_block``
+    observe: int = 0  # address of the observation's ``observe_rows``
+    results: Results = Results(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
+    refuse: Callable[[int], None] = lambda ended: None  # raises for a step that ended with a bad reward or observation
+
+
+UNSCORED = Scoring()
+
+
 class ExactSimulator(Simulator):
     """Event-driven simulation; the module's head states the law, :class:`Simulator` the methods."""
 
@@ -173,21 +184,22 @@ class ExactSimulator(Simulator):
         self._prepare()
 
     @override
-    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
-        present, held = self._present, torque is not None
+    def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
+        present, prepared = self._present, self._prepared
         if torque is not None:
             self._control[0] = torque
-        if self._prepared[held] != dt:
-            self._prepare_step(dt, torque)
+        if prepared[0] != dt or prepared[1] is not (torque is not None) or prepared[2] is not scoring:
+            self._prepare_step(dt, torque, scoring)
         into = 1 if present.state is self._states[0] else 0  # the state in the other block stays as it is
         if present.state is not self._states[1 - into]:
             self._states[1 - into][:] = present.state
         call, self._times[1 - into][0] = self._calls[into], present.time
         while True:
-            ended, hits = self._step_and_score(self._loop, call.address, scoring)
+            ended, _, _, _, hits = self._loop(call.address, 0, 1, 0)
             if not ended:
                 break
             if ended not in AGAIN:
+                scoring.refuse(ended)
                 end_of_step(present.time, dt)
                 raise failure(ended, self.scene, present.time, dt)
             call = self._calls[into] = repaired(call, ended)  # and repeat the step
@@ -221,30 +233,28 @@ class ExactSimulator(Simulator):
         blocks = np.zeros((2, 1, HEIGHT, 1))  # before and after a step, in turn
         self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
-        self._loop, self._step_and_score = address_of(compiled(run), one_row), compiled(step_and_score)
+        self._loop = compiled(run)
         self._times, self._control = list(map(_view, blocks[:, 0, TIME])), _view(self._controls[0])
         self._torques = [_view(call.memory.scratch[TORQUE]) for call in self._calls]
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
-        # For steps of which dt [s] the arguments are set: under the drive, and under a held torque.
-        self._prepared: list[float | None] = [None, None]
+        # The steps for which arguments are set: their dt [s], whether a torque is held, and how they are scored.
+        self._prepared: tuple[float | None, bool, Scoring] = None, False, UNSCORED
         self._present = self._present._replace(state=self._as_stored(self._present.state))
 
-    def _prepare_step(self, dt: float, torque: float | None) -> None:
+    def _prepare_step(self, dt: float, torque: float | None, scoring: Scoring) -> None:
         """Set the arguments of steps from one block to the other, and back."""
-        held = torque is not None
-        pieces = NO_PIECES
+        held, pieces = torque is not None, NO_PIECES
         if self._cut[held]:
             pieces = joined([pieces_for(self.scene.drive, self.time, dt, torque)], np.zeros(1, np.int64))
         numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
         scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
         controls = self._controls if held else np.zeros((0, 0))
-        results = Results(terminations=np.zeros(1, np.bool_), truncations=np.zeros(1, np.bool_))
-        self._prepared = [None, None]
+        rules = Rules(dt, score=scoring.score, observe=scoring.observe)
+        self._prepared = None, held, scoring
         for into, call in enumerate(self._calls):
-            call.prepare(scenes, Rules(dt), self._blocks[1 - into], self._blocks[into], controls, results)
-        if not self._cut[held]:
-            self._prepared[held] = dt
+            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, scoring.results)
+        self._prepared = None if self._cut[held] else dt, held, scoring
 
 
 _new: Callable[..., StepResult] = tuple.__new__  # twice as fast as StepResult(...)

@@ -19,22 +19,12 @@ from jackbox_env.simulators.base import Impact
 from jackbox_env.simulators.flight import fly
 
 
-class Moment(NamedTuple):
-    """An impact, or several at one time."""
-
-    time: float  # [s]
-    before: list[float]  # the state just before, 12 numbers
-    after: list[float]  # the state just after, 12 numbers
-    work: float  # of torque and side forces on the box since the step's start [J]
-
-
 class Replay(NamedTuple):
     """The course of a step."""
 
     state: list[float]  # at its end, 12 numbers
     depth: float  # largest penetration of a foot at an impact [m]; -inf without impacts
     work: float  # of torque and side forces on the box [J]
-    moments: list[Moment]  # in time order
 
 
 def flown(scene: Scene, state: Sequence[float], time: float, duration: float, torque: float | None) -> list[float]:
@@ -50,7 +40,7 @@ def replayed(
     scene: Scene, state: Sequence[float], time: float, impacts: Sequence[Impact], end: float, torque: float | None
 ) -> Replay:
     """Replay a step from ``time`` to ``end`` [s]; ``state`` is that before it."""
-    now, depth, work, moments = list(state), -math.inf, 0.0, list[Moment]()
+    now, depth, work = list(state), -math.inf, 0.0
     for impact in impacts:
         before = flown(scene, now, time, impact.time - time, torque)
         work += box_energy(scene, before) - box_energy(scene, now)  # in flight nothing else changes it
@@ -58,12 +48,8 @@ def replayed(
         depth = max(depth, -clearance(scene, before))
         kick = impact.impulse * gap_jacobian(scene, before, impact.wall, impact.foot) / np.array(scene.mass_diagonal)
         now = before[:RATES] + (np.array(before[RATES:]) + kick).tolist()
-        if moments and moments[-1].time == time:
-            moments[-1] = moments[-1]._replace(after=now)
-        else:
-            moments.append(Moment(time, before, now, work))
     after = flown(scene, now, time, end - time, torque)
-    return Replay(after, depth, work + box_energy(scene, after) - box_energy(scene, now), moments)
+    return Replay(after, depth, work + box_energy(scene, after) - box_energy(scene, now))
 
 
 def box_energy(scene: Scene, state: Numbers) -> float:

@@ -44,6 +44,13 @@ def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any
     return users_functions(owner).entry(function)
 
 
+def observer_of(observation: Observation) -> Callable[..., Any]:
+    """The compiled function that observes the rows of a block."""
+    from jackbox_env.exact.score import observe_block, observe_rows
+
+    return compiled_for(observation, observe_block if observation is STATE else observe_rows)
+
+
 def users_functions(owner: Task | Observation | Action) -> UsersFunctions:
     """The functions of a user's task, observation or action, read at its first use.
 

@@ -11,7 +11,7 @@ from jackbox_env import Impact, Scene, make_simulator
 from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
-from jackbox_env.simulators.exact import ExactSimulator
+from jackbox_env.simulators.exact import UNSCORED, ExactSimulator, Scoring
 from jackbox_env.simulators.replay import flown
 from scripts.studies.accuracy.comparing import compare, reference_of, restarts
 from tests.states import WEIGHTLESS, Array, at
@@ -84,7 +84,7 @@ def test_penetration_is_seen_where_the_contact_was_resolved() -> None:
 
 def test_energy_that_comes_from_nowhere_is_seen() -> None:
     class Heater(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(state=result.state * np.where(np.arange(12) == 9, 1.001, 1.0))
 
@@ -102,14 +102,14 @@ def test_energy_that_comes_from_nowhere_is_seen() -> None:
 class Ghost(ExactSimulator):
     """Flies through walls and keeps its energy."""
 
-    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
         return StepResult(np.array(flown(self.scene, self.state.tolist(), self.time, dt, torque)), self.time + dt)
 
 
 class Coward(ExactSimulator):
     """Gives up at walls."""
 
-    def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
+    def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
         result = super().stepped(dt, torque)
         if result.impacts:
             raise JackLostError("the jack would leave the box")
@@ -160,7 +160,7 @@ def test_the_exact_model_has_no_error_against_itself_and_a_late_one_has_its_dela
 
 def test_restarts_count_what_is_missed_and_what_is_extra() -> None:
     class Nervous(ExactSimulator):
-        def stepped(self, dt: float, torque: float | None, scoring: int = 0) -> StepResult:
+        def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
             result = super().stepped(dt, torque)
             return result._replace(impacts=(*result.impacts, Impact(result.time - 0.001, 3, 3, 1.0)))
 
