@@ -213,7 +213,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
             decrease or are not within the case.
     """
     table: Table = {}
-    head, lines, rows_of_file, *_ = read_rows(path)
+    head, lines, rows_of_file, *_ = read_rows(path, columns[0])
     if tuple(head) != tuple(columns):
         raise ValueError(f"{path} must begin with the columns {','.join(columns)}, got {check.shown(','.join(head))}")
     for number, (name, *cells) in zip(lines, rows_of_file, strict=True):

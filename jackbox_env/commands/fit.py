@@ -18,7 +18,7 @@ import numpy as np
 from jackbox_env.commands.fit_page import sentences, table_of, write_fit_page
 from jackbox_env.commands.options import add_scene_options, chosen_scene, parser_of
 from jackbox_env.fits.torques import TORQUE_KINDS
-from jackbox_env.model.states import RATES, X_JACK
+from jackbox_env.model.states import RATES, STATE_NAMES, X_JACK
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from jackbox_env.model.scene import Scene
 
 _FIELDS = ("jack_mass", "restitution")
-_IMPACTS = {"time": "s", "wall": "", "foot": "", "impulse": "N s"}
 
 
 def _arguments() -> argparse.Namespace:
@@ -116,15 +115,17 @@ def read_recording(
     """
     from jackbox_env.fits.observed import Recording
     from jackbox_env.fits.tables import filled, in_si_units, read_table
+    from jackbox_env.fits.text import parts
 
     heard = None
     if impacts is not None:
         table = read_table(impacts, "impact_time")
-        heard_columns = [
-            column for column in table.columns if not column[0].startswith(("before ", "after ", "resting"))
-        ]
-        heard = filled(table, "time", in_si_units(table._replace(columns=heard_columns), _IMPACTS)[0]["time"])
-    return Recording.from_table(read_table(path, "state"), scene, names, y_down, heard, torque)
+        columns, others = in_si_units(table, {"time": "s"})
+        heard = filled(table, "time", columns["time"])
+        if states := [header for header in others if parts(header)[0] in STATE_NAMES]:
+            raise ValueError(f"{impacts}: must have times of impacts, got states with a column {states[0]!r}")
+    table = read_table(path, "state", (names or {}).get("time", "time"))
+    return Recording.from_table(table, scene, names, y_down, heard, torque)
 
 
 def column_names(text: str | None) -> dict[str, str]:

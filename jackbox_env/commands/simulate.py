@@ -93,8 +93,8 @@ def _torques(path: Path, dt: float) -> Array:
 
     if not path.is_file():
         raise ValueError(f"torque must be chirp, none or a CSV or npz file, got {check.shown(str(path))}")
-    table = read_table(path, "torque")
-    columns, left_out = in_si_units(table, {"time": "s", "torque": "N m"}, needed=["torque"], strict=False)
+    table = read_table(path, "torque", "torque")
+    columns, left_out = in_si_units(table, {"time": "s", "torque": "N m"}, needed=["torque"])
     if others := [header for header in left_out if header.split("[")[0].strip() not in STATE_NAMES]:
         print(f"{path}: left out: {', '.join(others)}.", file=sys.stderr)
     torques = columns["torque"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,25 +15,28 @@ import numpy as np
 from jackbox_env.fits.tables import UNITS, Table, filled, in_si_units
 from jackbox_env.fits.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
-from jackbox_env.model.states import LATEST_TIME, STATE_NAMES, STATE_UNITS, Array
+from jackbox_env.model.states import (
+    LATEST_TIME,
+    STATE_NAMES,
+    STATE_UNITS,
+    THETA_BOX,
+    THETA_JACK,
+    X_BOX,
+    X_JACK,
+    Y_JACK,
+    Array,
+)
 from jackbox_env.tools import checks as check
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
 _TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
 _USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
-# Frames a second of cameras and loggers, and of television.
-_RATES = (
-    *(24, 25, 30, 48, 50, 60, 72, 75, 80, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 400, 480, 500, 1000),
-    *(rate / 1.001 for rate in (24, 30, 48, 60, 120, 240, 480)),
-)
 _COARSE = 0.4  # of a step: rounding below leaves no doubt about missing frames
 _FEW_MISSING, _LEAST_ROWS = 1.05, 20  # frames for each row, rows: with fewer there is no doubt about dropped frames
 _TORQUE_TOLERANCE = 1e-6  # relative
 _FARTHEST = 2.0  # half widths that a jack may be from the box's centre
 _FASTEST, _OFTEN = 10.0, 0.8  # v0, v0 / L or v0 / l, and the quantile of rates that is no higher in SI units
-# What is wrong with a position that is fewer half widths from the box's centre.
-_GUESSES = (10.0, "is box_half_width right?"), (150.0, "centimetres or millimetres?"), (1500.0, "millimetres?")
 _TORQUE = re.compile(  # in headers of torques; no momentum, and no place "in m"
     r"(?i:torque|(?<![a-z])tau|moment(?!um|a))|(?<![A-Za-z])[kM]?N[ ·*._-]?m{1,2}(?![A-Za-z])"
 )
@@ -56,11 +58,16 @@ def evened(
         TypeError, ValueError: unusable content; the message names row and column.
     """
     columns, left_out = in_si_units(table, UNITS, names)
+    if impacts is None and not {*STATE_NAMES} & {*columns}:
+        needed = "one of the 12 numbers of a state; --columns (in Python names=) maps other headers"
+        raise ValueError(
+            f"{table.header()}s must have {needed}, got {', '.join(header for header, _ in table.columns)}"
+        )
     times, rows, dt = _frames(table, columns["time"], scene)
     missing = int(rows[-1]) + 1 - len(rows)
     verb = "is" if missing == 1 else "are"
-    named = ", ".join(header for header in left_out if header.strip())
-    notes = [*table.notes, *[f"left out, because no name stands for them: {named}"] * bool(named)]
+    notes = [f"what is above the headers, in row {table.at_line}, was left out"] * (table.at_line > 1)
+    notes += [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
     notes += [f"{missing} of {rows[-1] + 1} frames {verb} missing, and left open"] * bool(missing)
     states = np.full((int(rows[-1]) + 1, 12), np.nan)
     for index, name in enumerate(STATE_NAMES):
@@ -135,7 +142,7 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
         )
     spacing = 4.0 * float(np.spacing(abs(times).max()))
     rounding = rounding_of(times)
-    gaps = _gaps(steps, rounding)
+    gaps = _gaps(table, steps, rounding)
     dt = float(steps.sum() / gaps.sum())
     _refuse_coarse(table, scene, float(times[-1]), dt)
     if gaps.sum() > _MOST_MISSING * len(times):
@@ -167,23 +174,20 @@ def rounding_of(times: Array) -> float:
     return next((10.0**-n for n in digits), spacing)
 
 
-def _gaps(steps: Array, rounding: float) -> Array:
-    """The number of frames in each step of time.
-
-    If coarse rounding leaves doubt, there are as many frames a second as the slowest usual rate allows.
-    """
+def _gaps(table: Table, steps: Array, rounding: float) -> Array:
+    """The number of frames in each step of time; ValueError if times are rounded too coarsely to know."""
     usual = float(np.quantile(steps, _USUAL, method="lower"))
-    most = np.round(steps / steps[abs(steps - usual) < 0.5 * usual].mean())
-    if len(steps) < _LEAST_ROWS or most.mean() < _FEW_MISSING or rounding < _COARSE * usual:
-        return np.asarray(most)
+    gaps = np.round(steps / steps[abs(steps - usual) < 0.5 * usual].mean())
+    if len(steps) < _LEAST_ROWS or gaps.mean() < _FEW_MISSING or rounding < _COARSE * usual:
+        return np.asarray(gaps)
+    even = np.arange(len(steps) + 1)
     times = np.cumsum([0.0, *steps])
-    at_rates = ((times + 0.1 * n * rounding) * rate for rate in sorted(_RATES) for n in range(-5, 6))
-    for gaps in chain([np.ones(len(steps))], (np.diff(np.round(frames)) for frames in at_rates)):
-        rows = np.cumsum([0.0, *gaps])
-        dt = np.polyfit(rows, times, 1)[0]
-        if gaps.min() > 0.0 and np.ptp(times - dt * rows) < 2.0 * EVEN * dt + rounding:
-            return np.asarray(gaps)
-    return np.asarray(most)
+    dt = np.polyfit(even, times, 1)[0]
+    if np.ptp(times - dt * even) < 2.0 * EVEN * dt + rounding:
+        return np.ones(len(steps))
+    raise ValueError(
+        f"{table.source}column time: is rounded to {rounding:g} s, too coarsely to know which frames are missing"
+    )
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
@@ -193,33 +197,27 @@ def _refuse_coarse(table: Table, scene: Scene, end: float, dt: float) -> None:
     """Raise ValueError if a jack at the scene's speed scale would cross half the box in one step."""
     coarsest = scene.box_half_width / scene.speed_scale
     if dt > coarsest:
-        unit = "numbers of frames" if dt == 1.0 else "milliseconds" if dt < 1e3 * coarsest else "microseconds"
         raise ValueError(
             f"{table.source}column time: time runs to {end:,.6g} s in steps of {dt:.3g} s, which must be at most "
-            f"{coarsest:.2g} s: {unit}?"
+            f"{coarsest:.2g} s: numbers of frames, or milliseconds?"
         )
 
 
 def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
-    """Raise ValueError for positions and angles that are no metres and radians."""
-    half, seen = scene.box_half_width, np.isfinite(states)
-    for axis in range(2):
-        box, jack = states[:, axis], states[:, axis + 3]
-        near = slice(None) if (seen[:, axis] & seen[:, axis + 3]).any() else slice(math.ceil(1.0 / dt))
-        reaches = jack - box if near == slice(None) else (jack - jack[seen[:, axis + 3]][:1].sum())[near]
-        reach = float(np.nanmax(abs(reaches), initial=0.0)) if np.isfinite(reaches).any() else 0.0
-        if reach > _FARTHEST * half * (1.0 if near == slice(None) else 5.0):
-            guess = next((guess for most, guess in _GUESSES if reach < most * half), "pixels?")
-            raise ValueError(
-                f"{table.source}column {STATE_NAMES[axis + 3]}: {STATE_NAMES[axis + 3]} reaches {reach:,.4g} m in "
-                f"a box of half width {half:g} m: {guess}"
-            )
-    wrong = "minutes, hours or days", "degrees"
-    for column, unit in ((3, 1.0), (4, 1.0), (2, half), (5, scene.jack_arm)):
-        rows = np.flatnonzero(seen[:, column])
+    """Raise ValueError for positions and angles that are no metres and radians, and rates that are not by seconds."""
+    half = scene.box_half_width
+    reach = np.nanmax(abs(states[:, X_JACK:THETA_JACK] - states[:, X_BOX:THETA_BOX]), initial=0.0)
+    if reach > _FARTHEST * half:
+        raise ValueError(
+            f"{table.source}the jack is up to {reach:,.4g} m from the centre of a box of half width {half:g} m: "
+            "are unit and box_half_width right?"
+        )
+    wrong = "minutes, hours, days, millimetres or pixels", "degrees"
+    for column, unit in ((X_JACK, 1.0), (Y_JACK, 1.0), (THETA_BOX, half), (THETA_JACK, scene.jack_arm)):
+        rows = np.flatnonzero(np.isfinite(states[:, column]))
         steps = abs(np.diff(states[rows, column]))
         rate = float(np.quantile(steps / (np.diff(rows) * dt), _OFTEN)) if len(steps) else 0.0
-        name, angle = STATE_NAMES[column], column % 3 == 2
+        name, angle = STATE_NAMES[column], column in (THETA_BOX, THETA_JACK)
         if rate > _FASTEST * scene.speed_scale / unit or (angle and steps.max(initial=0.0) > _LARGEST_STEP):
             moves = f"{name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from row to row, in {dt:.3g} s"
             raise ValueError(f"{table.source}column {name}: {moves}: {wrong[angle]}?")

@@ -126,45 +126,40 @@ def _fall(scene: Scene) -> float:
     return max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
 
 
-def spikes_of(recording: Recording, scene: Scene, noise: Array) -> dict[int, Array]:
-    """Rows in which the jack is off every line through two of the rows around, and by how much in each number.
+def spikes_of(recording: Recording, scene: Scene, noise: Array) -> list[int]:
+    """Rows in which the jack is off every line through two of the rows around.
 
     Not where that is usual: a jack that rests in a box that turns is on no line.
     """
     straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    spikes = dict[int, Array]()
+    spikes = list[int]()
     rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
     while len(rows) > _SPIKE_ROWS:
         values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
-        off = least.copy()
         for one, other in ((-2, -1), (-1, 1), (1, 2)):
             at = np.arange(max(0, -one), len(rows) - max(0, other))
             share = ((rows[at] - rows[at + one]) / (rows[at + other] - rows[at + one]))[:, None]
             between = values[at] - values[at + one] * (1.0 - share) - values[at + other] * share
-            nearer = abs(between) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-            off[at] = np.where(nearer < least[at], between, off[at])
-            least[at] = np.minimum(least[at], nearer)
+            least[at] = np.minimum(least[at], abs(between) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
         score = least.max(axis=1)
         around = np.lib.stride_tricks.sliding_window_view(np.pad(score, _SPIKE_ROWS // 2, mode="reflect"), _SPIKE_ROWS)
         peaks = (score > _SPIKE * np.maximum(1.0, np.median(around, axis=1))) & (score >= around[:, 2:5].max(axis=1))
         if not peaks.any():
             break
-        spikes.update(zip(rows[peaks].tolist(), off[peaks] * noise[_JACK], strict=True))
+        spikes += rows[peaks].tolist()
         rows = rows[~peaks]
     return spikes
 
 
 def lost_frames_of(recording: Recording, scene: Scene) -> list[int]:
-    """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere before and after."""
+    """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere by those before and after."""
     jack = recording.states[:, _JACK]
     zeros = (jack[:, :2] == 0.0).all(axis=1)
     others, rows = np.flatnonzero(np.isfinite(jack).all(axis=1) & ~zeros), np.flatnonzero(zeros)
     if not len(others):
         return []
-    after = np.searchsorted(others, rows)
-    near = jack[others[np.stack([np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)])]]
-    far = np.hypot(near[:, :, 0], near[:, :, 1]).min(axis=0) > _ELSEWHERE * scene.box_half_width
-    lost: list[int] = rows[far].tolist()
+    between = [np.interp(rows, others, jack[others, axis]) for axis in range(2)]
+    lost: list[int] = rows[np.hypot(*between) > _ELSEWHERE * scene.box_half_width].tolist()
     return lost
 
 
@@ -232,7 +227,7 @@ def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Arra
 def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Array:
     """States on lines, (n, 6, 2), at times since the recording's begin [s], (n, 12)."""
     added, rows = falls(recording, scene), np.arange(len(recording.states)) * recording.dt
-    both = np.concatenate([added, np.gradient(added, recording.dt, axis=0)], axis=1)
+    both = np.concatenate([added, np.gradient(added, recording.dt, axis=0, edge_order=2)], axis=1)
     offsets = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
     states: Array = np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - offsets
     return states

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from jackbox_env.fits.outcome import outcome_of
 from jackbox_env.fits.result import Fit
 from jackbox_env.fits.search import LINK_SLACKS, Search
 from jackbox_env.fits.shooting import Parameters, Shooting
-from jackbox_env.fits.windows import cut_all, go_on, resume
+from jackbox_env.fits.windows import cut_all, go_on
 from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
@@ -80,13 +79,7 @@ def fit(
     total = sum(len(one.states) - 1 for one in several)
     disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
     with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        search = Search(list(several), parameters, known, bar)
-        estimate = _fitted(search)
-        if any(search.flights) and search.work > 0.0 and not estimate.converged:
-            with suppress(ValueError):
-                other = _fitted(Search(list(several), parameters, known, bar, before=search))
-                return other if other.converged else estimate
-        return estimate
+        return _fitted(Search(list(several), parameters, known, bar))
 
 
 def _fitted(search: Search) -> Fit:
@@ -101,10 +94,10 @@ def _fitted(search: Search) -> Fit:
         )
     search.progress.reset(total=len(LINK_SLACKS) + 2)
     search.progress.set_description("fitting")
-    search.settle(LINK_SLACKS[0])
-    search.without_misfits(LINK_SLACKS[0], len(search.windows))
-    resume(search)
-    go_on(search)
+    for slack in (LINK_SLACKS[0], LINK_SLACKS[1], LINK_SLACKS[1]):
+        search.settle(slack)
+        search.without_misfits(slack, len(search.windows))
+        go_on(search)
     search.settle(LINK_SLACKS[0])
     search.without_misfits(LINK_SLACKS[0], len(search.windows))
     count = len(search.windows)

@@ -21,7 +21,6 @@ Indices = NDArray[np.intp]
 
 LINK, UNHEARD = -1, -2  # columns of residuals that are no observations: a link or a prior, an impact the model lacks
 WIDTH = 12  # unknowns of a window
-LAGS = 4  # windows back, up to which covariances are computed
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
@@ -119,30 +118,22 @@ class Chain:
         return moves
 
     def projections(self) -> Array:
-        """Covariances of the residuals' linear parts with the unknowns, (rows, 12 (1 + LAGS) + F).
+        """Covariances of the residuals' linear parts with the start of their window and the fields, (rows, 12 + F).
 
-        J C with C the covariance of all unknowns, for the start of the row's window, those of the LAGS windows before
-        it, and the fields.
+        J C with C the covariance of all unknowns.
         """
         fields, starts, _ = self._eliminate(_COVARIANCE_DAMPING)
-        rows, past = self.rows, WIDTH * (1 + LAGS)
-        covariance = np.zeros((past + rows.fields, past + rows.fields))
-        covariance[past:, past:] = fields.root @ fields.root.T
-        result = np.empty((len(rows.residuals), len(covariance)))
+        rows, of_fields = self.rows, fields.root @ fields.root.T
+        jacobian = np.delete(rows.jacobian, np.r_[WIDTH : 2 * WIDTH], axis=1)
+        covariance, result = np.zeros((WIDTH + rows.fields,) * 2), np.empty_like(jacobian)
+        covariance[WIDTH:, WIDTH:] = of_fields
         ends = np.searchsorted(rows.window, np.arange(self.windows + 1))
-        for index, eliminated in enumerate(starts):
-            shifted, others = np.zeros_like(covariance), np.r_[: past - WIDTH, past : len(covariance)]
-            later = np.r_[WIDTH : len(covariance)]
-            shifted[np.ix_(later, later)] = covariance[np.ix_(others, others)]
-            by = np.zeros((WIDTH, len(covariance)))
-            by[:, WIDTH : 2 * WIDTH], by[:, past:] = eliminated.by[:, :WIDTH], eliminated.by[:, WIDTH:-1]
-            shifted[:WIDTH] = by @ shifted
-            shifted[WIDTH:, :WIDTH] = shifted[:WIDTH, WIDTH:].T
-            shifted[:WIDTH, :WIDTH] = by @ shifted[:, :WIDTH] + eliminated.root @ eliminated.root.T
-            covariance = shifted
-            block = rows.jacobian[ends[index] : ends[index + 1]]
-            of_start, of_fields = block[:, :WIDTH], block[:, 2 * WIDTH :]
-            result[ends[index] : ends[index + 1]] = of_start @ covariance[:WIDTH] + of_fields @ covariance[past:]
+        for eliminated, first, last in zip(starts, ends, ends[1:], strict=False):
+            by = eliminated.by[:, :-1]
+            with_fields = by @ covariance[:, WIDTH:]
+            own = by @ covariance @ by.T + eliminated.root @ eliminated.root.T
+            covariance = np.block([[own, with_fields], [with_fields.T, of_fields]])
+            result[first:last] = jacobian[first:last] @ covariance
         return result
 
     def _times(self, fields: Array, starts: Array) -> Array:

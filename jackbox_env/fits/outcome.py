@@ -15,13 +15,12 @@ from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
 from jackbox_env.fits.observed import IMPACT, looks_smoothed, pushed
 from jackbox_env.fits.residuals import (
     autocorrelations,
-    degrees_of_freedom,
     highest_mean_square,
     identified,
     jumps,
+    leverage,
     misfitting,
     relative_masses,
-    studentised,
     unidentified_sentence,
 )
 from jackbox_env.fits.result import Fit
@@ -41,10 +40,11 @@ from jackbox_env.model.states import (
 from jackbox_env.tools import checks as check
 
 with check.extra("jackbox_env.fit", "scipy", "train"):
-    from scipy import stats
+    from scipy import linalg, stats
 
 _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviations
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
+_LEAST_FREE = 0.1  # variance of a residual that is used, over the noise's; less is what the start absorbs
 _UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
 _FAR = 6.0  # standard deviations of a row that is bad
 _NEAR = 0.05  # half widths of a foot that may rest on a wall; no higher bounce piles up
@@ -59,8 +59,9 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
     """The result of a search with its last rows; whether it ended there."""
     numbers, parameters, rows = search.numbers.copy(), search.parameters, chain.rows
     (covariance, unidentified), projections = identified(chain), chain.projections()
-    freedom = degrees_of_freedom(rows, projections, unidentified, ~np.isfinite(search.known_noise))
-    half_widths = stats.t.ppf(0.975, np.clip(freedom, 1.0, 1e9)) * np.sqrt(np.diag(covariance))
+    estimated = (rows.column >= 0) & ~np.isfinite(search.known_noise[rows.column])
+    freedom = float((1.0 - leverage(rows, projections))[estimated].sum()) if estimated.any() else 1e9
+    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance))
     half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
     least = np.where(parameters.logarithmic, -np.inf, 0.0)
     most = np.where(parameters.logarithmic, np.inf, parameters.high)
@@ -166,28 +167,27 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
 def _bad_row_sentences(search: Search) -> Iterator[str]:
     """The rows that were left out, and how far the jack is off; not rows in which it is on no or on the fitted path."""
     for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions()[0], strict=True)):
-        recorded, noise = search.recorded[number].states, search.noise[X_JACK:RATES]
-        recording = f" of recording {number}" * (len(search.bad_rows) > 1)
+        off = abs(search.recorded[number].states - states)[:, X_JACK:RATES]
+        away, recording = off / search.noise[X_JACK:RATES], f" of recording {number}" * (len(search.bad_rows) > 1)
         for row in sorted([*rows, *search.lost_frames[number]]):
-            text = "x_jack and y_jack are 0, as of a lost frame"
-            if row in rows:
-                off, away = abs(rows[row]), abs(recorded[row] - states[row])[X_JACK:RATES] / noise
-                if not (away > _FAR).any():
-                    continue
-                column = int(np.nanargmax(off / noise))
-                text = f"{STATE_NAMES[X_JACK + column]} is {off[column]:.2g} {STATE_UNITS[X_JACK + column]} off"
-            yield f"row {row}{recording}: {text}"
+            column = X_JACK + int(np.argmax(away[row]))
+            text = f"{STATE_NAMES[column]} is {off[row, column - X_JACK]:.2g} {STATE_UNITS[column]} off"
+            if row in search.lost_frames[number]:
+                yield f"row {row}{recording}: x_jack and y_jack are 0, as of a lost frame"
+            elif (away[row] > _FAR).any():
+                yield f"row {row}{recording}: {text}"
 
 
 def _not_followed(search: Search) -> tuple[int, list[float]]:
     """The number of missing links between windows, and by recording the time in which the jack moves in none [s]."""
     joints, seconds = 0, list[float]()
     for number, modelled in enumerate(search.motions()[0]):
-        missing, flown, moving = np.isnan(modelled[1:, X_JACK]), search.flown[number], _aloft(search, number)
+        missing, moving, flights = np.isnan(modelled[1:, X_JACK]), _aloft(search, number), search.flights[number]
+        flown = flights.flown if flights else []
         for first, last in flown:
             moving[first + 1 : last + 1] = True
         steps = int((missing & moving[1:]).sum())
-        if search.flights[number] is None:
+        if flights is None:
             joints += sum(window.recording == number for window in search.windows) - 1
             steps = max(steps, int(missing.sum()) - search.resting_steps[number])
         else:
@@ -223,3 +223,15 @@ def _held_out_residuals(search: Search) -> Array:
         residuals.append(studentised(search.rows(alone, LINK_SLACKS[-1]), covariance))
     search.numbers = numbers
     return np.concatenate(residuals)
+
+
+def studentised(rows: Rows, covariance: Array) -> Array:
+    """(observed - fitted) over its standard deviation, of one window whose start was fitted to it, the fields not."""
+    lengths = np.linalg.norm(rows.jacobian[:, :WIDTH], axis=0)
+    basis = linalg.orth(rows.jacobian[:, :WIDTH] / np.where(lengths > 0.0, lengths, 1.0), rcond=1e-9)
+    jacobian = rows.jacobian[:, 2 * WIDTH :]
+    jacobian = jacobian - basis @ (basis.T @ jacobian)
+    variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
+    usable = (rows.column >= 0) & (variance > _LEAST_FREE)
+    result: Array = -rows.residuals[usable] / np.sqrt(variance[usable])
+    return result

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.fits.least_squares import LAGS, LINK, UNIDENTIFIABLE, WIDTH, Chain, Indices, Rows
+from jackbox_env.fits.least_squares import LINK, UNIDENTIFIABLE, WIDTH, Chain, Rows
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
 
 _LAGS = 4  # rows, up to which residuals are compared
-_LEAST_FREE = 0.1  # variance of a residual that is used, over the noise's; less is what the start absorbs
 
 
 def highest_mean_square(count: int) -> float:
@@ -53,38 +52,28 @@ def jumps(rows: Rows, windows: int, slack: float, noise: float) -> Array:
     return largest[1:]
 
 
-def leverage(rows: Rows, projections: Array) -> Array:
-    """Leverage of each residual, shape (rows,): the diagonal of H = J (J^T J)^+ J^T."""
-    diagonal: Array = _covariances(rows, projections, np.arange(len(projections)), 0)
-    return diagonal
-
-
-def _covariances(rows: Rows, projections: Array, later: Indices, lag: int) -> Array:
-    """H_ij of rows i = ``later`` and the rows j before them, by Chain.projections."""
-    earlier = later[: len(later) - lag]
-    later = later[lag:]
-    apart, past = rows.window[later] - rows.window[earlier], WIDTH * (1 + LAGS)
-    near = apart <= LAGS  # the starts of windows further apart are taken to be independent
-    columns = WIDTH * np.where(near, apart, 0)[:, None] + np.arange(WIDTH)
-    by_start = np.take_along_axis(projections[later], columns, axis=1) * near[:, None]
-    covariances: Array = (by_start * rows.jacobian[earlier, :WIDTH]).sum(axis=1)
-    covariances += (projections[later, past:] * rows.jacobian[earlier, 2 * WIDTH :]).sum(axis=1)
-    return covariances
+def leverage(rows: Rows, projections: Array, lag: int = 0) -> Array:
+    """Elements of H = J (J^T J)^+ J^T: of each residual and the one ``lag`` rows before, in the same window."""
+    jacobian = np.delete(rows.jacobian, np.r_[WIDTH : 2 * WIDTH], axis=1)
+    elements: Array = (projections[lag:] * jacobian[: len(jacobian) - lag]).sum(axis=1)
+    return elements
 
 
 def autocorrelations(rows: Rows, projections: Array) -> Array:
-    """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, shape (14,).
+    """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, within windows, shape (14,).
 
     In units of its standard deviation for white noise: products r_i r_j have the mean -H_ij in a right model (Durbin
     and Watson 1950), H as in :func:`leverage`, and a variance of about 1. 0 for columns of fewer than 12 residuals.
     """
     sums, counts = np.zeros(14), np.zeros(14)
     for column in range(13):
-        of_column = np.flatnonzero(rows.column == column)
-        r = rows.residuals[of_column]
-        for lag in range(1, _LAGS + 1) if len(r) >= 12 else ():
-            sums[column] += (r[lag:] * r[:-lag]).sum() + _covariances(rows, projections, of_column, lag).sum()
-            counts[column] += len(r) - lag
+        of = np.flatnonzero(rows.column == column)
+        some = Rows(rows.residuals[of], rows.jacobian[of], rows.column[of], rows.window[of])
+        for lag in range(1, _LAGS + 1) if len(of) >= 12 else ():
+            together = some.window[lag:] == some.window[:-lag]
+            products = some.residuals[lag:] * some.residuals[:-lag] + leverage(some, projections[of], lag)
+            sums[column] += products[together].sum()
+            counts[column] += together.sum()
     sums[13], counts[13] = sums.sum(), counts.sum()
     deviations: Array = sums / np.sqrt(np.maximum(counts, 1.0))
     return deviations
@@ -99,36 +88,6 @@ def identified(chain: Chain) -> tuple[Array, Array]:
     unidentifiable = (deviations > UNIDENTIFIABLE) | (deviations > 1e8 * deviations.min())
     known = directions[~unidentifiable]
     return known.T @ (deviations[~unidentifiable, None] ** 2 * known), directions[unidentifiable]
-
-
-def degrees_of_freedom(rows: Rows, projections: Array, unidentified: Array, estimated: NDArray[np.bool_]) -> Array:
-    """Degrees of freedom of Student's t for each field, shape (F,).
-
-    The variance of a field is a sum over the kinds of observations. The noise of some is ``estimated``, bool (13,), and
-    the sum's degrees of freedom are those of Welch (1947) and Satterthwaite (1946).
-    """
-    freedom, fields = 1.0 - leverage(rows, projections), rows.fields
-    gains = projections[:, WIDTH * (1 + LAGS) :]  # of the fields' estimates by the residuals
-    gains = gains - gains @ unidentified.T @ unidentified
-    total, spread = np.zeros(fields), np.zeros(fields)
-    for column in np.unique(rows.column[rows.column >= 0]):
-        of_column = rows.column == column
-        variance = (gains[of_column] ** 2).sum(axis=0)
-        total += variance
-        if estimated[column]:
-            spread += variance**2 / max(float(freedom[of_column].sum()), 1e-3)
-    degrees: Array = total**2 / np.maximum(spread, 1e-300)
-    return degrees
-
-
-def studentised(rows: Rows, covariance: Array) -> Array:
-    """(observed - fitted) over its standard deviation, of one window whose start was fitted to it, the fields not."""
-    basis, jacobian = _column_space(rows.jacobian[:, :WIDTH]), rows.jacobian[:, 2 * WIDTH :]
-    jacobian = jacobian - basis @ (basis.T @ jacobian)
-    variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
-    usable = (rows.column >= 0) & (variance > _LEAST_FREE)
-    result: Array = -rows.residuals[usable] / np.sqrt(variance[usable])
-    return result
 
 
 def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: NDArray[np.bool_]) -> str:
@@ -155,17 +114,3 @@ def relative_masses(fields: Sequence[str], identified: Sequence[bool], start: Sc
         f"{' and '.join(fitted)} {'is' if len(fitted) == 1 else 'are'} relative to {' and '.join(constant)} as given"
     )
     return [f"without a torque or a force on the box only ratios of masses are known: {relative}"]
-
-
-def _unit_columns(jacobian: Array) -> Array:
-    """The columns at length 1; those that are 0 stay."""
-    lengths: Array = np.linalg.norm(jacobian, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    return jacobian / lengths
-
-
-def _column_space(jacobian: Array) -> Array:
-    """Orthonormal basis of the columns, shape (rows, rank)."""
-    basis, values, _ = np.linalg.svd(_unit_columns(jacobian), full_matrices=False)
-    space: Array = basis[:, values > 1e-9 * values.max(initial=0.0)]
-    return space

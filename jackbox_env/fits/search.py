@@ -37,19 +37,13 @@ MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in window
 
 
 class Search:
-    """One fit: its windows, and the present values of the fields' numbers and of the noise.
+    """One fit: its windows, and the present values of the fields' numbers and of the noise."""
 
-    After another search, ``before``, it does not begin with flights, and has the work that that one has left.
-    """
-
-    def __init__(
-        self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any,
-        before: Search | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
         self.progress = progress  # a bar of tqdm
         seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
-        most = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
-        self.work: float = most if before is None else before.work  # steps that may still be evaluated
+        # Steps that may still be evaluated.
+        self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
         self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
         self.lost_frames = [lost_frames_of(one, parameters.start) for one in recordings]
@@ -58,14 +52,10 @@ class Search:
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
         self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in seen]
         self.recordings = [one.without(rows) for one, rows in zip(seen, self.bad_rows, strict=True)]
-        from_start = before is not None or "gravity" in parameters.fields  # flights need it
-        self.flights = [
-            None if from_start else flights_of(one, parameters.start, self.noise) for one in self.recordings
+        self.flights = [  # which need gravity
+            None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
+            for one in self.recordings
         ]
-        # Spans of each recording in which the jack flies by what was recorded, whatever the model.
-        self.flown: list[list[tuple[int, int]]] = (
-            before.flown if before else [[] if one is None else one.flown for one in self.flights]
-        )
         self.observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self.block = _BLOCK if self.observed.all() else _INCOMPLETE_BLOCK
         self.windows: list[Window] = []

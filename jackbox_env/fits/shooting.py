@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Indices, Rows
-from jackbox_env.fits.observed import Recording, state_at
+from jackbox_env.fits.observed import Recording
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import RATES, Array
+from jackbox_env.model.states import Array
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.simulators import JackLostError
 
@@ -30,7 +30,6 @@ _ROWS = 2  # for each impact of a window, at least; fewer do not determine the o
 MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
-_SOON = 5  # rows
 _LOGARITHMIC = ("box_mass", "box_inertia", "jack_mass", "jack_inertia", "jack_arm", "box_half_width")
 _WIDEST = math.log(1e3)  # logarithm of how far from the start's a mass or a length may be
 
@@ -313,19 +312,3 @@ def end_state(recording: Recording, window: Window, parameters: Parameters, numb
         return end
     observed = recording.states[window.last]
     return np.where(np.isfinite(observed), observed, window.start)
-
-
-def next_start(recording: Recording, window: Window, parameters: Parameters, numbers: Array, explained: bool) -> Array:
-    """The start of the window after this one: the observed state, else the model's.
-
-    After a window that the model does not explain, its state is no guess: what is observed soon is taken in its stead.
-    """
-    observed = recording.states[window.last]
-    if explained and np.isfinite(observed).all():
-        start: Array = observed
-        return start
-    end = end_state(recording, window, parameters, numbers)
-    if explained:
-        return end
-    near = np.flatnonzero(np.isfinite(recording.states[window.last : window.last + _SOON]).any(axis=0)) % RATES
-    return np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.fits.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, parts, plain, read_rows
+from jackbox_env.fits.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, is_named, parts, plain, read_rows
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
@@ -31,7 +31,6 @@ class Table(NamedTuple):
     source: str = ""  # a file and ", "
     lines: Sequence[int] | None = None  # of the text file, of each row
     at_line: int = 1  # of the headers
-    notes: tuple[str, ...] = ()  # what was left out, each in a sentence without a full stop
 
     def at(self, row: int) -> str:
         """A row, in words."""
@@ -73,8 +72,8 @@ def _columns_of(arrays: Mapping[str, Any], source: str) -> dict[str, Any]:
     return columns
 
 
-def read_table(path: Path, array: str) -> Table:
-    """The columns of a CSV file; or of an npz file that has this array: state, torque or impact_time.
+def read_table(path: Path, array: str, named: str = "time") -> Table:
+    """The columns of a text file, of which one is ``named``, or the arrays of an npz file with this ``array``.
 
     Raises:
         OSError: the file cannot be read.
@@ -85,17 +84,14 @@ def read_table(path: Path, array: str) -> Table:
         if array not in arrays:
             raise ValueError(f"{path}: there must be an array {array}, got {', '.join(arrays)}")
         return table_of({"time": arrays[array]} if array == "impact_time" else arrays, f"{path}, ")
-    headers, lines, rows, delimiter, at_line, notes = read_rows(path)
-    # LabVIEW's rows lack the last cell, of a comment.
-    width = min(len(headers), max(map(len, rows), default=len(headers)) if delimiter == "\t" else len(headers))
-    if without := ", ".join(header for header in headers[width:] if header.strip()):
-        notes = (*notes, f"left out, because no row has a cell for them: {without}")
+    headers, lines, rows, delimiter, at_line = read_rows(path, named)
+    width = len(headers)
     for line, row in zip(lines, rows, strict=True):
         if len(row) < width or any(cell.strip() for cell in row[width:]):
             needed = f"{width} cells like row {at_line}, with {DELIMITERS[delimiter]} between and points in numbers"
             raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
     columns = zip(*(row[:width] for row in rows), strict=True) if rows else [()] * width
-    return Table(list(zip(headers[:width], columns, strict=True)), f"{path}, ", lines, at_line, notes)
+    return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines, at_line)
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
@@ -126,68 +122,46 @@ def stored_scene(arrays: Any, source: str = "") -> dict[str, Any] | None:
 
 def in_si_units(
     table: Table, units: Mapping[str, str], names: Mapping[str, str] | None = None,
-    needed: Collection[str] = ("time",), strict: bool = True,
+    needed: Collection[str] = ("time",),
 ) -> tuple[dict[str, Array], tuple[str, ...]]:  # fmt: skip
-    """Columns by their names here, in SI units, and the headers that are left out.
+    """Columns by their names here, in SI units, and the headers that are left out, for which no name stands.
 
     Args:
-        table: with headers such as ``x_box``, ``x_box [mm]`` or a name of ``names``.
+        table: with headers such as ``x_box``, ``x_box [mm]`` or one of ``names``.
         units: the columns that may be there, and their SI units.
-        names: headers, with or without a unit, by the names here. Headers that are no names here are then left out.
-        needed: columns that must be there.
-        strict: False: headers that are no names here are left out without ``names``, too.
+        names: headers, with or without a unit, by the names here.
+        needed: columns that must be there; those in ``names`` too.
 
     Raises:
-        TypeError, ValueError: an unknown or missing column, one that comes twice, an unknown unit, something else than
-            finite numbers and NaN, or columns of different lengths.
+        TypeError, ValueError: a missing column, one that comes twice, an unknown unit, something else than finite
+            numbers and NaN, or columns of different lengths.
     """
-    check.known_keys("names", names or {}, units)
-    chosen, left_out = _chosen(table, units, names or {}, strict)
+    names = names or {}
+    check.known_keys("names", names, units)
+    chosen = dict[str, tuple[str, float, Any]]()
+    for name, si in units.items():
+        text = names.get(name, name)
+        found = [one for one in table.columns if name in names and one[0].strip() == text.strip()]
+        found = found or [one for one in table.columns if is_named(one[0], text)]
+        if len(found) > 1:
+            raise ValueError(f"{table.header()} {check.shown(found[1][0])} comes twice")
+        if not found and (name in names or name in needed):
+            listed = ", ".join(repr(header) for header, _ in table.columns) or "none"
+            which = f"{text!r}, which is to be {name}, must be one of {listed}"
+            which = which if name in names else f"{name} [{si}] must be one of {listed}"
+            raise ValueError(f"{table.header()} {which}")
+        if found:
+            chosen[name] = found[0][0], _factor(table, found[0][0], text, si), found[0][1]
     decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
     columns = {
         name: factor * _numbers(table, header, values, decimal_commas, 1.0 / factor if units[name] == "s" else None)
         for name, (header, factor, values) in chosen.items()
     }
-    listed = ", ".join(repr(header) for header, _ in table.columns)
-    for name in (*(names or {}), *needed):
-        if name not in columns:
-            what = f"there must be a column {name} [{units[name]}], got {listed or 'none'}"
-            if name in (names or {}):
-                text = parts((names or {})[name], units)[0]
-                for header, _ in table.columns:
-                    if parts(header, {text})[0] == text:  # its unit is unknown: raise
-                        _factor(table, header, None, None, units[name])
-                what = f"column {text!r}, which is to be {name}, must be one of {listed}"
-            raise ValueError(f"{table.header().removesuffix('column')}{what}")
     if len({len(column) for column in columns.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise ValueError(f"{table.source}columns must have the same number of rows, got {lengths}")
-    return columns, tuple(left_out)
-
-
-def _chosen(
-    table: Table, units: Mapping[str, str], names: Mapping[str, str], strict: bool
-) -> tuple[dict[str, tuple[str, float, Any]], list[str]]:
-    """Headers, units [SI] and values by the names here, and the headers that are left out."""
-    headers = {header.strip() for header, _ in table.columns}
-    by_text = {text.strip() if text.strip() in headers else parts(text, units)[0]: name for name, text in names.items()}
-    chosen, left_out = dict[str, tuple[str, float, Any]](), list[str]()
-    for header, values in table.columns:
-        bare, unit = parts(header, units)
-        name = by_text.get(header.strip(), by_text.get(bare, ""))
-        bare = bare.lower() if bare.lower() in units else bare
-        if not name and (not bare or ((names or not strict) and (bare not in units or bare in names))):
-            left_out.append(header)
-            continue
-        name = name or bare
-        if name not in units or name in chosen:
-            allowed = ", ".join(f"{one} [{of}]" if of else one for one, of in units.items())
-            others = "; --columns (in Python names=) reads other headers" * (units is UNITS)
-            what = "comes twice" if name in chosen else f"must be one of {allowed}{others}"
-            raise ValueError(f"{table.header()} {check.shown(header)} {what}")
-        of_names = parts(names.get(name, ""), units)[1]
-        chosen[name] = header, _factor(table, header, unit, of_names, units[name]), values
-    return chosen, left_out
+    used = {header for header, _, _ in chosen.values()}
+    return columns, tuple(header for header, _ in table.columns if header.strip() and header not in used)
 
 
 def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
@@ -207,13 +181,12 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
 
     In a column of times, of which a ``second`` has so many units, moments and durations become numbers too.
     """
-    moments = [_MOMENT.fullmatch(cell) for cell in values] if second and table.lines is not None else [None]
-    if all(moments):
-        values = np.array([moment[1] for moment in moments if moment], dtype="datetime64[ns]")
-    elif table.lines is not None:
+    if table.lines is not None:
+        if second and values and all(map(_MOMENT.fullmatch, values)):
+            moments = [match[1] for match in map(_MOMENT.fullmatch, values) if match]
+            return _seconds(np.array(moments, dtype="datetime64[ns]")) * second
         cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
-        numerals = [cell if NUMBER.fullmatch(cell) and "," not in cell else "nan" for cell in cells]
-        read = np.array([float(one.lower().replace("d", "e")) for one in numerals])
+        read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
         for line, cell in enumerate(cells):
             if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):
                 what = f"must be a number or empty, got {check.shown(values[line].strip())}"
@@ -221,10 +194,9 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
         return read
     array = np.ma.filled(values.astype(np.float64), math.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
     try:
-        if second and array.dtype.kind in "mM":
-            array = (array - np.zeros((), array.dtype)) / np.timedelta64(1, "s") * second
-        elif second and hasattr(next(iter(array), None), "timestamp"):  # with a zone
+        if second and hasattr(next(iter(array), None), "timestamp"):  # with a zone
             array = np.array([one.timestamp() * second for one in array])
+        array = _seconds(array) * second if second and array.dtype.kind in "mM" else array
         numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
     except (TypeError, ValueError):  # an object that is no number
         numbers = None
@@ -236,23 +208,24 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
     return numbers
 
 
-def _factor(table: Table, header: str, unit: str | None, of_names: str | None, si: str) -> float:
-    """The unit of a column [si], which the header or ``names`` have."""
-    factors = {si: 1.0, **OTHER_UNITS.get(si, {})}
+def _seconds(moments: Any) -> Array:
+    """Moments since 1970, or durations [s]."""
+    return np.asarray((moments - np.zeros((), moments.dtype)) / np.timedelta64(1, "s"))
+
+
+def _factor(table: Table, header: str, name: str, si: str) -> float:
+    """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore, or SI."""
+    factors = {si: 1.0, **OTHER_UNITS[si]}
     known = {plain(one): factor for one, factor in factors.items()}
-    if unit is None:  # it may be within, as in Position (mm) Run #1
-        unit = next((one for one in re.findall(r"[(\[]([^][()]*)[)\]]", header) if plain(one) in KNOWN), None)
-    if unit is not None and of_names is not None and plain(unit) != plain(of_names):
-        raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {of_names!r}, chosen for it")
-    in_parentheses = re.search(r"\(([^()]*)\)\s*$", header)
-    ending = header.strip().rpartition("_")[2]  # of box_angle_deg
-    others = of_names, in_parentheses and in_parentheses[1], ending if plain(ending) in known else si
-    unit = next(one for one in (unit, *others) if one is not None)
-    factor = known.get(plain(unit))
-    if factor is None:
-        allowed = ", ".join(factors) if si else "none"
+    of_name, of_header, ending = parts(name)[1], parts(header)[1], header.strip().rpartition("_")[2]
+    of_name = None if header.strip() == name.strip() else of_name
+    if of_name is not None and of_header is not None and plain(of_name) != plain(of_header) in KNOWN:
+        raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {name!r}, chosen for it")
+    unit = next(one for one in (of_name, of_header, ending if plain(ending) in known else si) if one is not None)
+    if plain(unit) not in known:
+        allowed = ", ".join(factors)
         raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
-    return factor
+    return known[plain(unit)]
 
 
 def filled(table: Table, name: str, values: Array) -> Array:

@@ -6,20 +6,19 @@ rests.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
 from jackbox_env.fits.observed import state_at
-from jackbox_env.fits.search import MOST_SKIPPED, Search
-from jackbox_env.fits.shooting import MOST_IMPACTS, Window, end_state, followed, motion, next_start, next_window
-from jackbox_env.model.states import THETA_JACK, Array
+from jackbox_env.fits.search import MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.shooting import Window, end_state, next_window
+from jackbox_env.model.states import RATES, THETA_JACK, Array
 
-_SHORTENED = 0.5, 0.25  # shares of a window that are tried if the whole is not explained
+_SHARES = 1.0, 0.5, 0.25  # of a window that are tried until one is explained
 _LEAST = 4  # steps of such a share
+_SOON = 5  # rows
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 # [rad] of a jack whose angle was not observed; it repeats every quarter turn
 _TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
@@ -27,91 +26,68 @@ _SURE = 0.25  # relative standard deviation of a guess that replaces the start, 
 _FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 
 
-def resume(search: Search) -> None:
-    """Take back windows that the model explains by now: from the ends of those before them, or from flights."""
-    before = {(window.recording, window.last): window for window in search.windows}
-    for window in sorted(search.left_out, key=lambda one: (one.recording, one.first)):
-        previous, start = before.get((window.recording, window.first)), window.start
-        if previous is not None:
-            recording = search.recordings[window.recording]
-            window.start = end_state(recording, previous, search.parameters, search.numbers)
-        explained = search.fit_alone(window)
-        if not explained and previous is not None:
-            window.start = start
-            explained = search.fit_alone(window)
-        if explained:
-            search.left_out.remove(window)
-            search.windows.append(window)
-            before[window.recording, window.last] = window
-    search.link()
-
-
 def go_on(search: Search) -> None:
-    """Follow the jack from where windows end that nothing is linked to, until it rests or the model fails."""
-    for window in [one for one in search.windows if not one.linked and search.flights[one.recording] is not None]:
-        recording, number = search.recordings[window.recording], window.recording
-        until = min(
-            (one.first for one in search.windows if one.recording == number and one.first >= window.last),
-            default=len(recording.states) - 1,
-        )
-        chain = [window]
-        while chain[-1].last < until:
-            end = end_state(recording, chain[-1], search.parameters, search.numbers)
-            new = next_window(recording, number, chain[-1].last, end, search.parameters, search.numbers)
-            if new is None or new.last > until:
+    """Follow the jack from where windows end that nothing is linked to, and from where windows begin that are left out.
+
+    Until it rests, the model fails or another window begins.
+    """
+    seeds = [(window, window.last) for window in search.windows if not window.linked]
+    seeds += [(window, window.first) for window in search.left_out]
+    search.left_out = []
+    for seed, first in seeds:
+        recording, number, begin = search.recordings[seed.recording], seed.recording, first
+        others = [one for one in search.windows if one.recording == number and one.last > first]
+        if any(one.first < first for one in others):
+            continue
+        chain = [seed] if first == seed.last else []
+        end = end_state(recording, seed, search.parameters, search.numbers) if chain else seed.start
+        until = min((one.first for one in others), default=len(recording.states) - 1)
+        while first < until:
+            window = next_window(recording, number, first, end, search.parameters, search.numbers)
+            if window is None:
                 break
-            if not followed(new, motion(recording, new, search.parameters, search.numbers), MOST_IMPACTS):
+            window.last = min(window.last, until)
+            if not _appended(search, chain, window):
                 break
-            chain[-1].linked = True
-            chain.append(new)
-            if not search.fit_block(chain[-search.block :], free=False):
-                del chain[-1]
-                chain[-1].linked = False
-                break
-        search.windows += chain[1:]
+            first, end = window.last, end_state(recording, window, search.parameters, search.numbers)
+        search.windows += [window for window in chain if window is not seed]
+        search.left_out += [seed] * (first == begin == seed.first)
     search.link()
+
+
+def _appended(search: Search, chain: list[Window], window: Window) -> bool:
+    """Append a window to others, linked if it follows, if a fit of them explains it; return whether it does."""
+    before = chain[-1:]
+    for one in before:
+        one.linked = (one.recording, one.last) == (window.recording, window.first)
+    chain.append(window)
+    free = len({*map(id, [*search.windows, *chain])}) <= search.block
+    start, steps = window.start, window.last - window.first
+    for share in _SHARES:
+        window.start, window.last = start, window.first + max(min(_LEAST, steps), round(share * steps))
+        if search.fit_block(chain[-search.block :], free):
+            return True
+    window.last = window.first + steps
+    del chain[-1]
+    unlink(before, range(len(before)))
+    return False
 
 
 def cut_all(search: Search) -> None:
-    """Cut all recordings into windows.
-
-    Between flights, if there are any: from the guess of all recordings together, or from the one of a single recording
-    if that explains more. Recordings without windows are then cut one step after the other.
-    """
+    """Cut all recordings into windows: between flights, if there are any, else one step after the other."""
     scene, fields = search.parameters.start, search.parameters.fields
     guesses = [
         None if flights is None else guess_of(one, scene, flights, search.noise, fields)
         for one, flights in zip(search.recordings, search.flights, strict=True)
     ]
-    known = [[one] for one in guesses if one is not None]
-    candidates = [_combined(search, some) for some in ([one for (one,) in known], *(known if len(known) > 1 else ()))]
-    furthest = -1
-    for numbers, width in candidates:
-        search.numbers, search.first_width, search.windows, search.left_out = numbers, width, [], []
-        for number, guess in enumerate(guesses):
-            if guess is not None:
-                _cut_between(search, number, guess)
-        covered = sum(window.last - window.first for window in search.windows)
-        if covered > furthest:
-            furthest, best = covered, (numbers, width, search.windows, search.left_out)
-        if len({window.recording for window in search.windows}) == len(known):
-            break
-    search.numbers, search.first_width, search.windows, search.left_out = best
-    _cut_others(search)
-
-
-def _cut_others(search: Search) -> None:
-    """Cut the recordings that have no windows yet, one step after the other."""
+    search.numbers, search.first_width = _combined(search, [one for one in guesses if one is not None])
+    for number, guess in enumerate(guesses):
+        if guess is not None:
+            _cut_between(search, number, guess)
     cut = {window.recording for window in search.windows}
-    search.left_out = [window for window in search.left_out if window.recording in cut]
-    for number in [one for one in range(len(search.recordings)) if one not in cut]:
-        numbers, before = search.numbers, len(search.windows)
-        if before:
-            _cut(search, number, state_at(search.recordings[number]))
-        else:
-            _cut_first(search, number)
-        if len(search.windows) == before:
-            search.numbers = numbers
+    for number in range(len(search.recordings)):
+        if number not in cut:
+            _cut_from_guesses(search, number)
     search.link()
 
 
@@ -136,17 +112,18 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
     starts = starts_of(recording, search.parameters.scene(numbers), flights, guess)
     for (first, last), start in zip(flights.spans.values(), starts, strict=True):
         window = Window(number, first, last, start=start)
-        (search.windows if search.fit_alone(window) else search.left_out).append(window)
+        explained = search.fit_alone(window)
+        (search.windows if explained else search.left_out).append(window if explained else replace(window, start=start))
     search.link()
 
 
-def _cut_first(search: Search, number: int) -> None:
-    """Cut the first recording from several guesses, until one gets to its end; keep the furthest."""
-    furthest, best = -1, (search.numbers, search.windows, 0)
-    for numbers, state in _first_guesses(search, number):
-        search.numbers, search.windows, search.resting_steps[number] = numbers, [], 0
-        search.progress.reset()
-        complete = _cut(search, number, state)
+def _cut_from_guesses(search: Search, number: int) -> None:
+    """Cut a recording from several guesses of its first state, until one gets to its end; keep the furthest."""
+    first, furthest, (numbers, windows) = state_at(search.recordings[number]), -1, (search.numbers, search.windows)
+    seen = windows or np.isfinite(search.recordings[number].states[0, THETA_JACK])
+    for angle in (0.0,) if seen else _TRIAL_ANGLES:
+        search.numbers, search.windows, search.resting_steps[number] = numbers, [*windows], 0
+        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
         covered = sum(window.last - window.first for window in search.windows)
         if covered > furthest:
             furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
@@ -155,52 +132,26 @@ def _cut_first(search: Search, number: int) -> None:
     search.numbers, search.windows, search.resting_steps[number] = best
 
 
-def _first_guesses(search: Search, number: int) -> Iterator[tuple[Array, Array]]:
-    """Guesses of the fields' numbers and of the first state."""
-    first, numbers, positive = state_at(search.recordings[number]), search.numbers, search.parameters.logarithmic
-    for angle in (0.0,) if np.isfinite(search.recordings[number].states[0, THETA_JACK]) else _TRIAL_ANGLES:
-        yield numbers, first + angle * np.eye(12)[THETA_JACK]
-    for factor in (0.7, 1.4):
-        scaled = np.clip(numbers * factor, 0.0, search.parameters.high)
-        yield np.where(positive, numbers + math.log(factor), scaled), first
-
-
 def _cut(search: Search, number: int, state: Array) -> bool:
     """Cut a recording into windows, each from the end of the one before it; return whether its end was reached."""
-    recording = search.recordings[number]
-    first, end, linked, skipped, shown = 0, state, False, 0, 0
-    while first < len(recording.states) - 1:
-        search.progress.update(first - shown)
-        shown = first
-        window = next_window(recording, number, first, end, search.parameters, search.numbers)
+    recording, parameters = search.recordings[number], search.parameters
+    first, end, skipped, steps = 0, state, 0, len(recording.states) - 1
+    search.progress.reset()
+    while first < steps:
+        window = next_window(recording, number, first, end, parameters, search.numbers)
         if window is None:  # at rest
-            pause = max(1, round(_REST_SKIPPED / recording.dt))
-            window = Window(number, first, min(first + pause, len(recording.states) - 1), start=end)
+            window = Window(number, first, min(first + max(1, round(_REST_SKIPPED / recording.dt)), steps), start=end)
             search.resting_steps[number] += window.last - first
-            end, first, linked = end_state(recording, window, search.parameters, search.numbers), window.last, False
-            continue
-        if linked:
-            search.windows[-1].linked = True
-        search.windows.append(window)
-        whole, explained = window.last, _fit_last(search)
-        for share in () if explained or whole - first < 2 * _LEAST else _SHORTENED:
-            search.windows[-1] = replace(window, last=first + max(_LEAST, round(share * (whole - first))), start=end)
-            explained = _fit_last(search)
-            if explained:
-                break
-        if not explained:
-            del search.windows[-1]
-            if linked:
-                search.windows[-1].linked = False
-            skipped += whole - first
-            if skipped > MOST_SKIPPED * len(recording.states):
+            end = end_state(recording, window, parameters, search.numbers)
+        elif _appended(search, search.windows, window):
+            end = end_state(recording, window, parameters, search.numbers)
+        else:  # the model's state is no guess, but of what is not observed soon
+            skipped += window.last - first
+            if skipped > MOST_SKIPPED * steps:
                 return False
-        first, linked = search.windows[-1].last if explained else whole, explained
-        last = search.windows[-1] if explained else window
-        end = next_start(recording, last, search.parameters, search.numbers, explained)
-    return skipped <= _FEW_SKIPPED * len(recording.states)
-
-
-def _fit_last(search: Search) -> bool:
-    """Fit the last window, with those before it; return whether it is explained."""
-    return search.fit_block(search.windows[-search.block :], len(search.windows) <= search.block)
+            end, observed = end_state(recording, window, parameters, search.numbers), recording.states[window.last :]
+            near = np.flatnonzero(np.isfinite(observed[:_SOON]).any(axis=0)) % RATES
+            end = np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)
+        search.progress.update(window.last - first)
+        first = window.last
+    return skipped <= _FEW_SKIPPED * steps

@@ -54,7 +54,7 @@ def test_a_right_recording_of_a_motor_and_a_smoothed_one(turned: Recording) -> N
 
 
 def test_time_in_which_no_foot_is_near_a_wall_is_no_rest() -> None:
-    recording = spoilt(filmed(LAB, 3.0), FAULTS[0], 0.02)
+    recording = spoilt(filmed(LAB, 3.0), FAULTS[0], 0.05)
     fitted = fit(recording, FIELDS, LAB)
     left_out = np.nan_to_num(recording.states[np.isnan(fitted.motions[0][:, 3])])
     flown = sum(gaps(LAB, state).min() > 0.08 * LAB.box_half_width for state in left_out)
