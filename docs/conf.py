@@ -41,6 +41,7 @@ nb_execution_cache_path = str(HERE / "_build" / "notebooks")
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # that something is compiled
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

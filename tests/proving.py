@@ -367,8 +367,8 @@ Seed {seed}. Reasons for undecided steps: {reasons}. {more:,} motions needed mor
   {100.0 * sum(time > 4.0 for time in times) / len(times):.0f} % of these times are more than 4 units off.
 - {len(grazes):,} feet bounce although their gap is proven positive, by at most {gap:.2g} m. Velocities then differ
   by at most {changed:.2g} m/s or rad/s.
-- Steps in which two feet strike nearly at once, simultaneously or in another order than proven:
-  {len(ties):,}. Velocities then differ by up to {max(ties, default=0.0):.2g} m/s or rad/s.
+- Steps with a tie, two feet that strike simultaneously or in another order than proven: {len(ties):,}.
+  Velocities then differ by up to {max(ties, default=0.0):.2g} m/s or rad/s.
 """
 
 
