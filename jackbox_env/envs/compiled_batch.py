@@ -13,7 +13,7 @@ from jackbox_env.envs.batch import Change, Limits, Outcome, Starts
 from jackbox_env.envs.repeated_step import RepeatedStep, bad_numbers
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
-from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, generator_of, seeded, words_of
+from jackbox_env.exact.pcg64 import fresh, generator_of, seeded, words_of
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
 from jackbox_env.jit.compiler import address_of, compiled
@@ -46,7 +46,7 @@ class Present(NamedTuple):
 class ExactBatch:
     """N environments of the exact model, stepped by one compiled loop, with the interface of :class:`.SingleBatch`.
 
-    Each takes 416 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
+    Each takes 432 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
     ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
     and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
@@ -81,8 +81,7 @@ class ExactBatch:
         several, pixels = len(scenes) > 1 or randomize is not None, interface.pixels
         past = None if pixels is None else Past(pixels, np.zeros((num_envs, pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
-        by_function = (randomize is not None and randomize.function is not None) or interface.task.start is not None
-        self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
+        self._generators = fresh(num_envs)  # (N, 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
         self._threads = Threads(thread_count(num_threads, ranges))
@@ -159,7 +158,7 @@ class ExactBatch:
         words, table = self._generators[numbers], self._present.scenes
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
-                words[index] = seeded(seed)[: words.shape[1]]
+                words[index] = seeded(seed)
         drawn, starting = self._randomize, self._interface.task.start is not None and not placed
         if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
@@ -177,7 +176,7 @@ class ExactBatch:
                 scenes.append(scene)
             if starting:
                 states.append(draw_start(self._interface.task, scene, generator))
-            words[index] = words_of(generator)[: words.shape[1]]
+            words[index] = words_of(generator)
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:

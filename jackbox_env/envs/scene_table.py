@@ -37,7 +37,6 @@ class SceneTable:
         self, originals: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float
     ) -> None:
         self.originals, self.dt, self.count = originals, dt, count
-        self._scenes: dict[int, Scene] = {}  # those requested so far
         self._made_with: Array = np.array([scene.numbers for scene in originals])  # never changed
         rows = self._made_with.copy()
         self.drives: list[AnyDrive] = [scene.drive for scene in originals]
@@ -119,7 +118,6 @@ class SceneTable:
 
     def put(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
         """Set the scenes of some environments, or the one of all. Rows have their numbers; they leave the drives."""
-        self._forget(numbers)
         if isinstance(scenes, list):
             for number, scene in zip(numbers.tolist() if self.several else [0], scenes, strict=False):
                 self.drives[number] = scene.drive
@@ -131,16 +129,9 @@ class SceneTable:
             self.values[0], scenes, numbers = scenes[0], scenes[:1], np.arange(self.scene_params.shape[2])
         compiled(spread)(scenes, self.dt, self.scene_params, numbers)
 
-    def _forget(self, numbers: Counts) -> None:
-        for number in numbers.tolist() if self._scenes else ():
-            self._scenes.pop(number if self.several else 0, None)
-
     def scene(self, number: int) -> Scene:
         """The scene that an environment has."""
-        index = number if self.several else 0
-        if index not in self._scenes:
-            self._scenes[index] = self.scene_of(number, self.values[index])
-        return self._scenes[index]
+        return self.scene_of(number, self.values[number if self.several else 0])
 
     def scene_of(self, number: int, row: Array) -> Scene:
         """The scene that an environment has with the numbers of ``row``."""

@@ -117,15 +117,10 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    rows = observations[low : low + count]
-    if values.shape[0] == 1:
-        scene = make_numbers(values[0])
-        for k in range(count):
-            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
-    else:
-        for k in range(count):
-            row_scene = make_numbers(values[low + k])
-            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
+    several = values.shape[0] > 1
+    for k in range(count):
+        scene = make_numbers(values[low + k if several else 0])
+        write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     return -1
 
 

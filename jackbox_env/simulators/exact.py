@@ -250,7 +250,7 @@ class ExactSimulator(Simulator):
         numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
         scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
         controls = self._controls if held else np.zeros((0, 0))
-        rules = Rules(dt, score=scoring.score, observe=scoring.observe)
+        rules = Rules(dt, continue_after_done=True, score=scoring.score, observe=scoring.observe)
         self._prepared = None, held, scoring
         for into, call in enumerate(self._calls):
             call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, scoring.results)
