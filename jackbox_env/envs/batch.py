@@ -54,14 +54,14 @@ class Starts(NamedTuple):
     times: Array | None = None  # (k,) at which they start [s]; None: 0
 
 
-class Limits(NamedTuple):
+class EpisodeLimits(NamedTuple):
     """After how much an episode is truncated; infinite: never."""
 
     steps: float  # control steps
     decisions: float  # counted only if it is finite
 
     @classmethod
-    def of(cls, repeat: Repeat, decisions: float, steps: float) -> Limits:
+    def of(cls, repeat: Repeat, decisions: float, steps: float) -> EpisodeLimits:
         """The limits of both kinds; if a decision is one control step, they are one."""
         return cls(float(steps), float(decisions)) if repeat.steps > 1 else cls(float(min(steps, decisions)), math.inf)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.envs.batch import Change, Limits, Outcome, Starts
+from jackbox_env.envs.batch import Change, EpisodeLimits, Outcome, Starts
 from jackbox_env.envs.repeated_step import RepeatedStep, bad_numbers
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
@@ -63,7 +63,7 @@ class ExactBatch:
         interface: Interface,
         control_dt: float,
         repeat: Repeat,
-        limits: Limits,
+        limits: EpisodeLimits,
         with_infos: bool = False,
         num_threads: int | None = None,
         randomize: Randomization | None = None,
@@ -241,7 +241,7 @@ class ExactBatch:
         if starts := self._present.starts:
             self._generators[starts.numbers] = starts.generators
             if starts.scenes is not None:
-                self._present.scenes.put(starts.numbers, starts.scenes)
+                self._present.scenes.set_scenes(starts.numbers, starts.scenes)
             self._present = self._present._replace(starts=None)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
@@ -304,7 +304,7 @@ class ExactBatch:
         scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
         present = self._present.blocks
         before, spare = present.copy() if steps > 1 else present, self._taken()  # several steps overwrite it
-        calls = self._prepared(scenes, before, spare, np.zeros((0, 0)) if actions is None else actions, filled)
+        calls = self._calls_with(scenes, before, spare, np.zeros((0, 0)) if actions is None else actions, filled)
 
         # Threads that a second interruption left at work keep alive what the loop calls by its address.
         def work(thread: int, low: int, high: int, _called: Any = self._compiled) -> Ended:
@@ -341,17 +341,17 @@ class ExactBatch:
             trajectories=np.empty((count if shown else 0, shown, 12)),
         )
 
-    def _prepared(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
+    def _calls_with(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
         """A call for each thread. They are not stored while threads use them."""
         stored, self._calls = self._calls, None
         if stored and stored[1] is scenes and not filled.trajectories.size:
             calls = stored[0]
             for call in calls:
-                call.prepare_again(before, spare, controls, filled)
+                call.set_arrays(before, spare, controls, filled)
         else:
             calls = stored[0] if stored else [Call(new_memory(self._width)) for _ in range(self._threads.count)]
             for call in calls:
-                call.prepare(scenes, self._rules, before, spare, controls, filled)
+                call.set_arguments(scenes, self._rules, before, spare, controls, filled)
         return calls
 
     def _outcome(self, filled: Results, finished: int, after: Array, actions: Array | None) -> Outcome:

@@ -222,7 +222,13 @@ def first_impact_fast_rotation(
 
 
 def may_rest(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, gap: float, rate: float, resolution: float
+    scene: SceneNumbers,
+    memory: Workspace,
+    flight: Flight,
+    limits: Limits,
+    gap: float,
+    rate: float,
+    resolution: float,
 ) -> bool:
     """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``resolution`` [m]; -inf: none may.
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import builtins
 import itertools
+import math
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -168,7 +169,7 @@ class _Compilation:
         namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
         known = self._counterparts(names, namespace)
         cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-        defaults = tuple(map(_native().signed, map(_copied, function.__defaults__ or ())))
+        defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
         twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
         twin.__module__ = function.__module__ or "__main__"  # exec makes functions without a module
         twin.__qualname__ = f"{full_name(function)}{'()' if inner else ''}{self._label}"
@@ -252,6 +253,24 @@ def _copied(value: Any) -> Any:
     elif isinstance(value, tuple):
         return tuple.__new__(type(value), map(_copied, value))
     return value
+
+
+class _MinusZero(float):
+    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _MinusZero)
+
+    def __hash__(self) -> int:
+        return hash("-0.0")
+
+
+def _signed(default: Any) -> Any:
+    """A default of an argument, in which -0.0 differs from 0.0."""
+    if type(default) is tuple:
+        return tuple(map(_signed, default))
+    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
+    return _MinusZero(default) if minus_zero else default
 
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
@@ -358,7 +377,7 @@ def _make_intrinsic(function: Any) -> Any:
         return bool
     native = _native()
     if function is numbers_in:
-        return native.spread
+        return native.numbers_on_stack
     if function is packed:
         return native.stored_at(lambda: [made() for made in _EXAMPLES.values()])
     if function in _SIGNATURES:

@@ -202,7 +202,7 @@ class Simulator(ABC):
             JackLostError: the jack would leave the box, or cannot be followed.
         """
 
-    def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
+    def _build_unpickled(self) -> None:  # noqa: B027  # some have nothing to build
         """Build the parts that are not pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
@@ -211,4 +211,4 @@ class Simulator(ABC):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._inside = ThreadNote()
-        self._prepare()
+        self._build_unpickled()

@@ -138,7 +138,7 @@ class PymunkSimulator(Simulator):
             iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
         self._dirty = True  # whether the engine may remember something that (state, time) does not determine
-        self._prepare()
+        self._build_unpickled()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -286,7 +286,7 @@ class PymunkSimulator(Simulator):
 
     # -- the engine's space -------------------------------------------------------------------------------------------
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         self._drive = Drive() if self.scene.drive is None else self.scene.drive
         self._motion = Buffer()
         self._build()
