@@ -63,7 +63,7 @@ class EnvSettings:
     """Settings of the environment, each of a JSON type."""
 
     task: str = "juggle"
-    """What is rewarded: juggle, spin, rattle, or a task of your own, file.py:name."""
+    """The task: juggle, spin, rattle, or one of your own, file.py:name."""
     contact: str | None = None
     """Contact model in place of a fidelity: pymunk or exact."""
     substeps: int | None = None
@@ -263,7 +263,7 @@ class TrainSettings(EnvSettings):
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """As :meth:`EnvSettings.of`, but no setting may be missing."""
+        """Settings from stored values, as :meth:`EnvSettings.of`, but none may be missing."""
         if isinstance(values, dict):
             values = {name: value for name, value in values.items() if name != "max_minutes"}  # which old ones have
         missing = [part.name for part in fields(cls) if isinstance(values, dict) and part.name not in values]

@@ -84,7 +84,7 @@ def made_with() -> dict[str, str]:
 
 
 def differing(other: dict[str, str]) -> str:
-    """What another process's :func:`made_with` returned and this one's does not, in words; empty if they are equal."""
+    """The differences of another process's :func:`made_with` from this one's, in words; empty if they are equal."""
     return ", ".join(" ".join(part) for part in sorted(other.items() - made_with().items()))
 
 

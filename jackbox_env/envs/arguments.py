@@ -50,7 +50,7 @@ class Arguments:
         return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
     def mask(self, name: str, flags: Any) -> Flags:
-        """Which environments, bool, shape (N,): a copy."""
+        """A checked choice of environments: a fresh array of bool, shape (N,)."""
         try:
             mask = np.asarray(flags)
         except ValueError as error:  # a ragged list

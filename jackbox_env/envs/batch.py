@@ -1,4 +1,4 @@
-"""What batches of environments share: how they change, and what they return to the vector environment.
+"""The common part of both batches of environments: how they change, and their results for the vector environment.
 
 A step, a reset and ``set_states`` change a batch in three moves, so that an error or an interruption leaves all of it
 as it was or all as the change leaves it:
@@ -40,7 +40,7 @@ class Outcome:
 
     @property
     def ended(self) -> Flags:
-        """Which episodes this step ends, shape (N,)."""
+        """True for each episode that this step ends, shape (N,)."""
         return self.terminations | self.truncations
 
 
@@ -55,7 +55,7 @@ class Starts(NamedTuple):
 
 
 class EpisodeLimits(NamedTuple):
-    """After how much an episode is truncated; infinite: never."""
+    """The limits at which an episode is truncated; infinite: never."""
 
     steps: float  # control steps
     decisions: float  # counted only if it is finite

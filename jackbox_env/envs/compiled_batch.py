@@ -48,8 +48,8 @@ class ExactBatch:
 
     Each takes 432 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
-    ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
-    and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
+    ``batch.py`` states how it changes. *Prepare* writes states into spare memory. *Finish* writes the generators and
+    scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
@@ -128,7 +128,7 @@ class ExactBatch:
 
     @property
     def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
+        """True for each episode that is over, shape (N,)."""
         return np.not_equal(self._column(workspace.OVER), 0.0)
 
     def _column(self, row: int) -> Array:
@@ -255,7 +255,7 @@ class ExactBatch:
         self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.past)
 
     def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, past: Past | None) -> None:
-        """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
+        """Write the observations of environments in ``blocks``, whose scenes have these ``rows`` of numbers."""
         if past is not None:
             past.draw(rows, numbers, observations, self._threads)
             return

@@ -32,8 +32,8 @@ class Present(NamedTuple):
 class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
-    ``batch.py`` states how it changes. To *prepare* moves the environments themselves; to *finish* returns them to
-    their snapshots in :class:`Present`, unless they are there.
+    ``batch.py`` states how it changes. *Prepare* moves the environments themselves; *finish* returns them to their
+    snapshots in :class:`Present`, unless they are there.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class SingleBatch:
 
     @property
     def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
+        """True for each episode that is over, shape (N,)."""
         return self._present.over.copy()
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:

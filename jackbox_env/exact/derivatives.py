@@ -56,7 +56,7 @@ class Played(NamedTuple):
 
 
 def scene_of(played: Played, i: int) -> tuple[SceneNumbers, StepParameters]:
-    """Scene and plan of a row."""
+    """The scene of a row, and the parameters of its steps."""
     index = i if played.values.shape[0] > 1 else 0
     scene = make_numbers(played.values[index])
     return scene, make_parameters(scene, played.dt, played.drive_kinds[index])
@@ -173,7 +173,7 @@ def propagate(
     tangent: Array,
     memory: Workspace,
 ) -> None:
-    """Take a tangent through a step; it becomes NaN if there is no derivative.
+    """Propagate a tangent through a step; it becomes NaN if there is no derivative.
 
     ``by_time`` is filled with the time shifts of impacts, shape (rows of the log or 0, columns).
     """

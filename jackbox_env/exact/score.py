@@ -1,4 +1,4 @@
-"""What tasks, observations and actions compute, in compiled code: of one state or of a block of rows.
+"""Rewards, observations and torques of actions in compiled code, of one state or of a block of rows.
 
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
 or :func:`observe_rows` after the last one; a single environment is a block of one row. They are called by their address

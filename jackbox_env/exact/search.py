@@ -54,7 +54,7 @@ _PATIENT = 10_000.0  # gap evaluations in a search for one foot's impact before 
 
 
 class Event(NamedTuple):
-    """What a search has located."""
+    """The outcome of a search."""
 
     kind: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
     time: float  # since the flight's start [s]; NO_IMPACT: the search's end

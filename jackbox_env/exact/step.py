@@ -74,7 +74,7 @@ CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
 
 
 class StepParameters(NamedTuple):
-    """What all steps of a call have in common."""
+    """Numbers that all steps of a call have in common."""
 
     dt: float  # [s]
     drive_kind: int  # what turns the box: CONSTANT, CHIRP, FUNCTIONS or CONSTANT_BESIDE_FORCES
@@ -92,7 +92,7 @@ class Pieces(NamedTuple):
 
 
 def make_parameters(scene: SceneNumbers, dt: float, kind: int) -> StepParameters:
-    """Compute what all steps have in common."""
+    """The numbers that all steps have in common."""
     # The jack's path bends off its chord by at most g dt^2 / 8.
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
     clear = distance * distance if distance > 0.0 else -1.0

@@ -54,7 +54,7 @@ FIRST_FIELD = 13  # column
 
 
 def fly_tangent(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
-    """Take a tangent through a flight of ``s`` [s].
+    """Propagate a tangent through a flight of ``s`` [s].
 
     ``drift`` is the change of the box's centre and angle by the drive in that time, and of their rates, shape (6,).
     """
@@ -131,7 +131,7 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
 
 
 def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
-    """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
+    """Propagate a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
     at, row = memory.before, memory.contacts.gradients[0]
     frame, rate, inverse_effective_mass = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
     extent = scene.box_half_width - (row[X_BOX] * frame.x + row[Y_BOX] * frame.y)  # of the foot along the normal
@@ -156,7 +156,7 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
 
 
 def gap_change(d: Array, row: Array) -> float:
-    """By how much a gap with the gradient J in ``row`` changes with the coordinates of a tangent's column: J d."""
+    """The change of a gap with the gradient J in ``row`` by the coordinates of a tangent's column: J d."""
     return float(
         row[X_BOX] * (d[X_BOX] - d[X_JACK])
         + row[Y_BOX] * (d[Y_BOX] - d[Y_JACK])
@@ -175,7 +175,7 @@ def change_rates(
     inverse_effective_mass: float,
     d: Array,
 ) -> None:
-    """Take a column of a tangent through the impact law at a fixed moment: change its velocities.
+    """Propagate a column of a tangent through the impact law at a fixed moment: change its velocities.
 
     Args:
         scene: the scene.
@@ -232,7 +232,7 @@ def step_tangent(
     scene: SceneNumbers, params: StepParameters, torque: float, before: Array, after: Array, hits: Array,
     by_time: Array, tangent: Array, memory: Workspace,
 ) -> None:  # fmt: skip
-    """Take a tangent through a step from one state to the next.
+    """Propagate a tangent through a step from one state to the next.
 
     ``hits`` are the step's rows of a wide log. ``by_time`` is filled with the time shift of each, shape (hits or 0,
     columns).

@@ -1,4 +1,4 @@
-"""What the compiled code reads and writes: the memory of a step, its log of impacts, and the arguments of ``run.run``.
+"""The memory of compiled code: of a step, its log of impacts, and the arguments of ``run.run``.
 
 Callers allocate all of it, and compiled code allocates nothing. A workspace is one record with named fields: passing
 its address costs less than passing several arrays, which would take longer than the physics.
@@ -229,7 +229,7 @@ class Results(NamedTuple):
 
 
 class ThreadMemory(NamedTuple):
-    """ThreadMemory of one thread."""
+    """The memory of one thread."""
 
     scratch: Array  # (SCRATCH, width)
     workspaces: Workspaces  # (1,)
@@ -237,7 +237,7 @@ class ThreadMemory(NamedTuple):
 
 
 def new_memory(width: int, impacts: int = 0, wide: bool = False) -> ThreadMemory:
-    """ThreadMemory for one thread.
+    """Memory for one thread.
 
     Args:
         width: rows in a block.

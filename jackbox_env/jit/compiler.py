@@ -157,7 +157,7 @@ class _Compilation:
         return self._twins[function, inner]
 
     def intermediate_code(self, function: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
-        """As the function of this name."""
+        """LLVM's code of a function and its name there: :func:`intermediate_code`."""
         with _LOCK, uninterrupted():
             result = _native().compiled_at(self.compiled(function, inner=True), arguments)
             return _native().unoptimized(result.library), result.fndesc.llvm_func_name
@@ -220,15 +220,15 @@ class UsersFunctions(_Compilation):
         return cast(F, self.entries[function])
 
     def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
-        """The same with further substitutes of functions of this package; the user's functions are not read again."""
+        """A copy with further substitutes of functions of this package; the user's functions are not read again."""
         other = UsersFunctions(lambda _: self._substitutes | substitutes)
         other._twins = {key: twin for key, twin in self._twins.items() if is_foreign(key[0])}
         return other
 
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
-        """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
+        """The type that a user's function of scene, state and ``further`` arguments returns, and numba's name of it.
 
-        That is ``bool``, ``float`` for another real number, ``(float, float)`` for two numbers, or None.
+        The type is ``bool``, ``float`` for another real number, ``(float, float)`` for two numbers, or None.
 
         Raises:
             Exception: numba cannot compile it.
@@ -316,7 +316,7 @@ def packed(address: Any, value: T) -> T:
 
 
 def called_later(function: Callable[[], F], example: Callable[[], tuple[Any, ...]]) -> Callable[[Any], F]:
-    """Like :func:`called_at`, for a function of this package that may be compiled later than those that call it.
+    """A :func:`called_at` for a function of this package that may be compiled later than those that call it.
 
     Uncompiled, the function is called, whatever the address.
 
@@ -340,7 +340,7 @@ _SIGNATURES: dict[Callable[..., Any], Callable[[], Any]] = {}  # return numba's 
 
 
 def is_compiled(_address: Any) -> bool:
-    """Whether there is a function at an address of :func:`called_later`; uncompiled, there is."""
+    """Whether there is a function at an address of :func:`called_later`; True if nothing is compiled."""
     return True
 
 

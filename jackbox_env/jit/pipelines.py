@@ -64,7 +64,7 @@ FASTER = (
 
 
 def _lacking(names: tuple[str, ...]) -> list[str]:
-    """Those of the names above that the installed numba and llvmlite lack."""
+    """The names among these that the installed numba and llvmlite lack."""
     lacking = []
     for name in names:
         where, _, used = name.partition(" ")
@@ -136,7 +136,7 @@ class _Typing(Context):
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without Python's search for cycles, which took a fifth of the time: next to nothing is garbage meanwhile."""
+    """Pause Python's search for cycles, which took a fifth of the time: next to nothing is garbage meanwhile."""
     if not gc.isenabled():
         yield
         return

@@ -33,7 +33,7 @@ NAMES = (
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What an agent observes: named numbers, each between bounds.
+    """An agent's observation: named numbers, each between bounds.
 
     One of your own is accepted wherever the name of one is, ``gym.make("JackInBox-v0", observation=height)``.
 

@@ -173,7 +173,7 @@ class Simulator(ABC):
         return StepResult(np.array(state), time, mean, impacts)
 
     def step_checked(self, dt: float, torque: float | None, *scoring: Any) -> StepResult:
-        """As :meth:`step`, for arguments that are checked. A later step may overwrite the result's state.
+        """Make a :meth:`step` whose arguments are checked. A later step may overwrite the result's state.
 
         ``scoring``: for a ``compiled`` model, the ``Scoring`` of ``exact.py`` that its step fills in.
         """

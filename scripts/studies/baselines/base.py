@@ -99,7 +99,7 @@ class Baseline(Simulator):
         return torque if torque is not None else 0.5 * sum((self.scene.drive or Drive()).torque_means(time, h))
 
     def reset(self, state: object, time: float = 0.0) -> None:
-        """As :meth:`Simulator.reset`; an impact under way is forgotten."""
+        """Set state and time as :meth:`Simulator.reset` does; an impact under way is forgotten."""
         super().reset(state, time)  # type: ignore[arg-type]
         self._under_way = []
 

@@ -63,7 +63,7 @@ def seconds() -> float:
 
 
 def playing(trained: Any) -> PolicyWithEnv:
-    """What a training has returned or yielded, as a policy with the keywords of its environment.
+    """The policy that a training has returned or yielded, with the keywords of its environment.
 
     Raises:
         TypeError, ValueError: it is no model, or has other keywords.
