@@ -26,8 +26,8 @@ with suppress(ImportError):  # command lines need it; settings are also read wit
 NAMES: dict[str, Collection[str]] = {  # built-in ones; "pixels-64x64x4" too
     "task": TASKS, "observation": (*OBSERVATIONS, "pixels"), "action": ACTIONS,
 }  # fmt: skip
-NOUNS = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
-PER_POLICY = (*NOUNS, "torque")  # of each policy; all other keywords are the same for all policies that are compared
+INTERFACE = ("observation", "action", "action_repeat")  # keywords of the environment: what a policy observes and does
+PER_POLICY = (*INTERFACE, "torque")  # of each policy; all other keywords are the same for all that are compared
 # Beyond these an untrusted run folder could fill all memory.
 MOST_STEPS = 10**12  # also of episodes and samples
 MOST_THREADS = 1024
@@ -63,7 +63,7 @@ class EnvSettings:
     """Settings of the environment, each of a JSON type."""
 
     task: str = "juggle"
-    """What is rewarded: juggle, spin, rattle, or a task of your own, file.py:name."""
+    """The task: juggle, spin, rattle, or one of your own, file.py:name."""
     contact: str | None = None
     """Contact model in place of a fidelity: pymunk or exact."""
     substeps: int | None = None
@@ -137,7 +137,7 @@ class EnvSettings:
     @property
     def named(self) -> dict[str, Any]:
         """The keywords :attr:`env_settings` of JSON types: objects of one's own are named."""
-        names = (*(part.name for part in fields(EnvSettings)), *(name for name in NOUNS if hasattr(self, name)))
+        names = (*(part.name for part in fields(EnvSettings)), *(name for name in INTERFACE if hasattr(self, name)))
         keywords = {name: getattr(self, name) for name in names}
         return {**keywords, "scene": self.scene_fields, "randomize": self.randomized or None}
 
@@ -263,7 +263,7 @@ class TrainSettings(EnvSettings):
 
     @classmethod
     def of(cls, values: Any) -> Self:
-        """As :meth:`EnvSettings.of`, but no setting may be missing."""
+        """Settings from stored values, as :meth:`EnvSettings.of`, but none may be missing."""
         if isinstance(values, dict):
             values = {name: value for name, value in values.items() if name != "max_minutes"}  # which old ones have
         missing = [part.name for part in fields(cls) if isinstance(values, dict) and part.name not in values]
@@ -279,15 +279,15 @@ class TrainSettings(EnvSettings):
         return observation_parts(with_objects({"observation": self.observation})["observation"])[1]
 
     @property
-    def nouns(self) -> dict[str, Any]:
+    def interface(self) -> dict[str, Any]:
         """The keywords ``observation``, ``action`` and ``action_repeat``; raises as ``env_settings``."""
-        return with_objects({name: getattr(self, name) for name in NOUNS})
+        return with_objects({name: getattr(self, name) for name in INTERFACE})
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of PPO, of JSON types, but for its seed; raises as ``env_settings``."""
         layers = {"net_arch": [*self.hidden_units]}
-        continuous = action_of(self.nouns["action"]).size
+        continuous = action_of(self.interface["action"]).size
         return {
             "policy": "CnnPolicy" if self.pixels else "MlpPolicy", "learning_rate": self.learning_rate,
             "n_steps": self.rollout_steps, "batch_size": self.batch_size, "n_epochs": self.epochs, "gamma": self.gamma,

@@ -37,7 +37,7 @@ from agents.policies.registry import find_policy, is_function, runs_code, with_c
 from agents.policies.scripted import PolicyWithEnv
 from agents.runners import Finished, Runner, Work
 from agents.runs import PACKAGES, installed, locked, machine
-from agents.settings import NAMES, NOUNS, EnvSettings, TrainSettings
+from agents.settings import INTERFACE, NAMES, EnvSettings, TrainSettings
 from agents.training.models import make_vec_env
 from agents.training.ppo import trained_in
 from jackbox_env import FIDELITIES
@@ -84,7 +84,7 @@ def made_with() -> dict[str, str]:
 
 
 def differing(other: dict[str, str]) -> str:
-    """What another process's :func:`made_with` returned and this one's does not, in words; empty if they are equal."""
+    """The differences of another process's :func:`made_with` from this one's, in words; empty if they are equal."""
     return ", ".join(" ".join(part) for part in sorted(other.items() - made_with().items()))
 
 
@@ -246,17 +246,17 @@ def grid(
         return [
             {**asdict(settings), "episodes": episodes}
             for varied in _varied(check.from_json("train", train, dict))
-            for (env, nouns), seed in product(environments, range(seeds))
-            for settings in [TrainSettings.suited(**asdict(env), **nouns, **varied, seed=seed, torch_threads=1)]
+            for (env, interface), seed in product(environments, range(seeds))
+            for settings in [TrainSettings.suited(**asdict(env), **interface, **varied, seed=seed, torch_threads=1)]
         ]
     names = [str(Path(name).resolve()) if Path(name).exists() else name for name in policy]
-    for name, (env, nouns) in product(names, environments):
-        if nouns and not with_chosen_env(name):
-            raise ValueError(f"setting must have no {' or '.join(nouns)} for {name}: the policy has its own")
-        _policy_in(name, env, nouns, 0, trust)
+    for name, (env, interface) in product(names, environments):
+        if interface and not with_chosen_env(name):
+            raise ValueError(f"setting must have no {' or '.join(interface)} for {name}: the policy has its own")
+        _policy_in(name, env, interface, 0, trust)
     return [
-        {"policy": name, **asdict(env), **nouns, "seed": seed, "episodes": episodes}
-        for name, (env, nouns), seed in product(names, environments, range(seeds))
+        {"policy": name, **asdict(env), **interface, "seed": seed, "episodes": episodes}
+        for name, (env, interface), seed in product(names, environments, range(seeds))
     ]
 
 
@@ -266,33 +266,35 @@ def _environment(task: str, setting: str, scene: str) -> tuple[EnvSettings, dict
     Making it once raises for settings that are invalid together, and compiles before the progress bar starts.
 
     Returns:
-        its settings, and those of ``NOUNS`` that are among the keywords.
+        its settings, and those of ``INTERFACE`` that are among the keywords.
     """
     keywords = {"fidelity": setting} if setting in FIDELITIES else check.from_json("setting", setting, dict)
-    check.known_keys("setting", keywords, [name for name in (*_ENV, *NOUNS) if name not in ("task", "scene")])
-    nouns = {name: keywords.pop(name) for name in NOUNS if name in keywords}
-    load(filter(is_object, nouns.values()))
+    check.known_keys("setting", keywords, [name for name in (*_ENV, *INTERFACE) if name not in ("task", "scene")])
+    interface = {name: keywords.pop(name) for name in INTERFACE if name in keywords}
+    load(filter(is_object, interface.values()))
     fields_of_scene = json.dumps(check.from_json("scene", scene, dict), sort_keys=True)
     settings = EnvSettings(task=task, scene=fields_of_scene, **keywords)
-    environments = make_vec_env({**settings.env_settings, **with_objects(nouns)}, 1, 0)
+    environments = make_vec_env({**settings.env_settings, **with_objects(interface)}, 1, 0)
     environments.reset()
     environments.close()
-    return settings, nouns
+    return settings, interface
 
 
 def _varied(train: dict[str, Any]) -> list[dict[str, Any]]:
     """Every combination of settings of training, from a list of values for each."""
-    check.known_keys("train", train, [name for name in _TRAIN if name not in (*_ENV, *NOUNS, "seed", "torch_threads")])
+    check.known_keys(
+        "train", train, [name for name in _TRAIN if name not in (*_ENV, *INTERFACE, "seed", "torch_threads")]
+    )
     for name, values in train.items():
         if not isinstance(values, list) or not values:
             raise TypeError(f"train must have a list of values for each setting, got {check.shown(values)} for {name}")
     return [dict(zip(train, values, strict=True)) for values in product(*train.values())]
 
 
-def _policy_in(name: str, env: EnvSettings, nouns: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
+def _policy_in(name: str, env: EnvSettings, interface: dict[str, Any], seed: int, trust: bool) -> PolicyWithEnv:
     """A policy in the environment of its row, also a model that env.json describes in another one."""
     length = {"episode_steps": EPISODE_STEPS, "max_episode_steps": None}
-    return find_policy(name, env, seed, trust, {**env.env_settings, **length, **nouns})
+    return find_policy(name, env, seed, trust, {**env.env_settings, **length, **interface})
 
 
 def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, Any]:
@@ -306,8 +308,8 @@ def run_trial(folder: Path, code: Code, settings: dict[str, Any]) -> dict[str, A
     load(set(code_named([settings])).intersection(code.names), code.texts)
     if "policy" in settings:
         env, starts = EnvSettings(**{name: settings[name] for name in _ENV}), settings["seed"]
-        nouns = {name: settings[name] for name in NOUNS if name in settings}
-        acting = _policy_in(settings["policy"], env, nouns, starts, code.trust)
+        interface = {name: settings[name] for name in INTERFACE if name in settings}
+        acting = _policy_in(settings["policy"], env, interface, starts, code.trust)
     else:  # evaluated from the same starts, whatever the training's seed
         env, starts = TrainSettings.of({name: settings[name] for name in _TRAIN}), 0
         acting = find_policy(str(_trained(folder, env)), env)

@@ -22,14 +22,14 @@ class Grid:
     """The trials: every combination."""
 
     policy: tuple[str, ...] = ("level", "ppo")
-    """As in scripts/evaluate.py: names, run folders, exported policies."""
+    """Policies as in scripts/evaluate.py: names, run folders, exported ones."""
     train: str | None = None
     (
         "In place of policies: settings of scripts/train.py as JSON, each with a list of values, e.g. "
         '\'{"total_steps": [100000], "learning_rate": [0.0005, 0.001]}\'. The best model of each training is evaluated.'
     )
     task: tuple[str, ...] = ("juggle",)
-    """What is rewarded: juggle, spin, rattle, or tasks of your own, file.py:name."""
+    """The tasks: juggle, spin, rattle, or your own, file.py:name."""
     setting: tuple[str, ...] = ("exact",)
     (
         "Fidelities, or settings of the environment as JSON, e.g. '{\"control_dt\": 0.05}'; with "
@@ -55,7 +55,7 @@ class Arguments:
     workers: int | None = None
     """Number of trials at a time, each in a separate process; None: one after the other in this process."""
     trust: bool = False
-    """As in scripts/evaluate.py; with --resume, also run the code in the sweep's folder."""
+    """Run code as in scripts/evaluate.py; with --resume, also that in the sweep's folder."""
     address: str | None = None
     """Address of the head of a Ray cluster, or auto on one of its machines."""
     progress: bool = True

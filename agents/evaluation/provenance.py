@@ -1,4 +1,4 @@
-"""What a return means: the environment that all policies of a table share, in words, and notes about their training."""
+"""The meaning of a return: the environment that policies of a table share, in words, and notes on their training."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ALWAYS = ("task", *KEYWORDS)  # in the line about an environment
 
 
 def facts_of(keywords: Mapping[str, Any]) -> Facts:
-    """What decides the meaning of a return: all of an environment's keywords but :data:`PER_POLICY`, in one form.
+    """The keywords of an environment that decide the meaning of a return: all but :data:`PER_POLICY`, in one form.
 
     Raises:
         TypeError, ValueError: the environment refuses a keyword, or an episode has no certain number of control steps.

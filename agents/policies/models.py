@@ -26,7 +26,7 @@ ENV_KEYWORDS = (
 )  # fmt: skip
 
 
-class Memory(NamedTuple):
+class RecurrentState(NamedTuple):
     """The recurrent state of a model in n environments."""
 
     frames: list[NDArray[Any]]  # (n, k * numbers) of each VecFrameStack
@@ -45,8 +45,12 @@ class ModelPolicy:
         self.model, self._wrappers = model, wrappers
 
     def predict(
-        self, observation: Any, state: Memory | None = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Actions, Memory]:
+        self,
+        observation: Any,
+        state: RecurrentState | None = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Actions, RecurrentState]:
         """The model's actions; see :class:`.scripted.Policy`."""
         pictures = np.ndim(observation) > 2
         rows, frames = np.asarray(observation, dtype=np.uint8 if pictures else np.float32), list[NDArray[Any]]()
@@ -66,7 +70,7 @@ class ModelPolicy:
         actions, recurrent = self.model.predict(
             rows, state=state and state.state, episode_start=episode_start, deterministic=deterministic
         )
-        return actions[0] if np.ndim(observation) == 1 else actions, Memory(frames, recurrent)
+        return actions[0] if np.ndim(observation) == 1 else actions, RecurrentState(frames, recurrent)
 
 
 def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> PolicyWithEnv:
@@ -81,7 +85,7 @@ def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> Po
     policy: Any = make_model(make_sb3_vec_env(1, **settings.env_settings), settings.arguments).policy
     policy.load_state_dict(parameters)
     policy.settings = settings
-    return PolicyWithEnv(policy, settings.nouns)
+    return PolicyWithEnv(policy, settings.interface)
 
 
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:

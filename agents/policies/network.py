@@ -55,8 +55,8 @@ class NetworkPolicy(StatelessPolicy):
     """
 
     def __init__(self, settings: TrainSettings, layers: list[Layer]) -> None:
-        nouns = settings.nouns
-        inputs, action = len(observation_of(nouns["observation"]).names), action_of(nouns["action"])
+        interface = settings.interface
+        inputs, action = len(observation_of(interface["observation"]).names), action_of(interface["action"])
         super().__init__(self.chosen, inputs)
         self.settings, self.layers = settings, layers
         self._space = action.space
@@ -75,7 +75,7 @@ class NetworkPolicy(StatelessPolicy):
     @property
     def in_env(self) -> PolicyWithEnv:
         """The policy, with what its environment observes and does."""
-        return PolicyWithEnv(self, self.settings.nouns)
+        return PolicyWithEnv(self, self.settings.interface)
 
 
 def check_layers(layers: list[Layer], sizes: list[int]) -> None:

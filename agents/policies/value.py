@@ -66,7 +66,7 @@ class ValuedSearch(PlanSearch):
         self.value = value
 
     def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
-        """As :meth:`PlanSearch.evaluate`, the values of the ends added to the sums of rewards."""
+        """Evaluate as :meth:`PlanSearch.evaluate` does, and add the values of the ends to the sums of rewards."""
         returns, ends = super().evaluate(scene, states, tried)
         return returns + np.array([self.value.of(of_jack) for of_jack in ends]).reshape(returns.shape), ends
 

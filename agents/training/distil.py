@@ -59,7 +59,7 @@ class Arguments:
     out: Path
     """Folder of the policy; made if there is none."""
     rounds: int = 30
-    """Of playing and fitting."""
+    """Settings of playing and fitting."""
     seed: int = 0
     """Seed of the starts, pairs and the order of fitting."""
 

@@ -1,4 +1,4 @@
-"""What :mod:`.distil`, :mod:`.value` and :mod:`.vine` share: rollouts of decisions, and the fitting of networks."""
+"""Rollouts of decisions, and the fitting of networks, for :mod:`.distil`, :mod:`.value` and :mod:`.vine`."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def spin_level(scene: Any, state: Any, torque: float, impulse: float) -> tuple[f
 
 
 class Recipe(NamedTuple):
-    """What differs between the tasks."""
+    """Settings that differ between the tasks."""
 
     task: Task  # whose rewards are improved
     ahead: int  # decisions that are played for each torque
@@ -86,7 +86,7 @@ class Arguments:
     task: Literal["spin", "rattle"] = "spin"
     """Task that it plays."""
     rounds: int = 600
-    """Of playing and improving."""
+    """Settings of playing and improving."""
     seed: int = 0
     """Seed of the network, starts, noise, torques and the order of fitting."""
 

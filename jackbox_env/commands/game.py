@@ -116,22 +116,16 @@ def read_game(text: str) -> Game:
     return _with_steps(game, values) if {*_ARRAYS, "digest"} & {*values} else game
 
 
-def replay_game(game: Game) -> tuple[int | None, list[float]]:
+def replay_game(game: Game) -> tuple[int | None, list[PlayedStep]]:
     """Simulate a game by the exact model, and compare each state with the text's.
 
     Returns:
-        The first step whose state differs, counted from 1, or None, and the rewards of the steps before it. A
-        difference changes the byte of its step in 255 of 256 cases, else that of a later step or the digest.
+        The first step whose state differs, counted from 1, or None, and the steps before it. A difference changes the
+        byte of its step in 255 of 256 cases, else that of a later step or the digest.
 
     Raises:
         JackLostError: a step cannot be followed, or the game needs more than 50,000,000 gap evaluations.
     """
-    differs, steps = replayed_steps(game)
-    return differs, [step.result.reward for step in steps]
-
-
-def replayed_steps(game: Game) -> tuple[int | None, list[PlayedStep]]:
-    """:func:`replay_game` with the steps before a difference in place of their rewards."""
     steps = list[PlayedStep]()
     for count, step in enumerate(_simulated(game), 1):
         if step.number >> 56 != game.checks[count - 1] or (count == len(game.shares) and step.number != game.digest):

@@ -29,7 +29,7 @@ def main() -> None:
     """Parse, replay, compare, write; exit with 1 if the motion differs."""
     arguments = _arguments()
     text: str = arguments.text
-    from jackbox_env.commands.game import played_columns, read_game, replayed_steps
+    from jackbox_env.commands.game import played_columns, read_game, replay_game
     from jackbox_env.model.action import EPISODE_STEPS
     from jackbox_env.model.states import total
     from jackbox_env.recording.files import write_table
@@ -41,7 +41,7 @@ def main() -> None:
         text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
     game = read_game(text)
     count = len(game.shares)
-    differs, steps = replayed_steps(game)
+    differs, steps = replay_game(game)
     played = f"{count:,} steps of {game.task}, {count * game.dt:g} s"
     if not count:
         print(f"This game of {game.task} has no steps: there is nothing to compare")

@@ -50,7 +50,7 @@ class Arguments:
         return [None if one is None else check.whole("seed", one, at_least=0) for one in listed]
 
     def mask(self, name: str, flags: Any) -> Flags:
-        """Which environments, bool, shape (N,): a copy."""
+        """A checked choice of environments: a fresh array of bool, shape (N,)."""
         try:
             mask = np.asarray(flags)
         except ValueError as error:  # a ragged list
@@ -85,11 +85,11 @@ class Arguments:
 
         def rows(scene_of: Callable[[int], Scene]) -> Array:
             restored = np.zeros((self.num_envs, 12))
-            by_scene = dict[int, Array]()  # by scene
+            by_scene = dict[Scene, Array]()
             for number in np.flatnonzero(chosen).tolist():
                 scene = scene_of(number)
-                if states.ndim == 1 and id(scene) in by_scene:
-                    restored[number] = by_scene[id(scene)]
+                if states.ndim == 1 and scene in by_scene:
+                    restored[number] = by_scene[scene]
                     continue
                 try:
                     restored[number] = checked(scene, states if states.ndim == 1 else states[number])
@@ -98,7 +98,7 @@ class Arguments:
                         raise
                     where = f"{name}[{number}]" if states.ndim > 1 else f"{name} in environment {number}"
                     raise type(error)(f"{where}: {error}") from error
-                by_scene[id(scene)] = restored[number]
+                by_scene[scene] = restored[number]
             return restored
 
         return rows

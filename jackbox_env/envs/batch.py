@@ -1,4 +1,4 @@
-"""What batches of environments share: how they change, and what they return to the vector environment.
+"""The common part of both batches of environments: how they change, and their results for the vector environment.
 
 A step, a reset and ``set_states`` change a batch in three moves, so that an error or an interruption leaves all of it
 as it was or all as the change leaves it:
@@ -40,7 +40,7 @@ class Outcome:
 
     @property
     def ended(self) -> Flags:
-        """Which episodes this step ends, shape (N,)."""
+        """True for each episode that this step ends, shape (N,)."""
         return self.terminations | self.truncations
 
 
@@ -54,14 +54,14 @@ class Starts(NamedTuple):
     times: Array | None = None  # (k,) at which they start [s]; None: 0
 
 
-class Limits(NamedTuple):
-    """After how much an episode is truncated; infinite: never."""
+class EpisodeLimits(NamedTuple):
+    """The limits at which an episode is truncated; infinite: never."""
 
     steps: float  # control steps
     decisions: float  # counted only if it is finite
 
     @classmethod
-    def of(cls, repeat: Repeat, decisions: float, steps: float) -> Limits:
+    def of(cls, repeat: Repeat, decisions: float, steps: float) -> EpisodeLimits:
         """The limits of both kinds; if a decision is one control step, they are one."""
         return cls(float(steps), float(decisions)) if repeat.steps > 1 else cls(float(min(steps, decisions)), math.inf)
 

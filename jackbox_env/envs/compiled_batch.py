@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.envs.batch import Change, Limits, Outcome, Starts
+from jackbox_env.envs.batch import Change, EpisodeLimits, Outcome, Starts
 from jackbox_env.envs.repeated_step import RepeatedStep, bad_numbers
 from jackbox_env.envs.scene_table import SceneTable
 from jackbox_env.exact import pcg64, run, score, workspace
-from jackbox_env.exact.pcg64 import WHOLE, WITH_HALVES, fresh, generator_of, seeded, words_of
+from jackbox_env.exact.pcg64 import fresh, generator_of, seeded, words_of
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
 from jackbox_env.exact.workspace import Call, Results, Rules, Scenes, Status, column_of, new_memory, states_of
 from jackbox_env.jit.compiler import address_of, compiled
@@ -46,10 +46,10 @@ class Present(NamedTuple):
 class ExactBatch:
     """N environments of the exact model, stepped by one compiled loop, with the interface of :class:`.SingleBatch`.
 
-    Each takes 416 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
+    Each takes 432 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
-    ``batch.py`` states how it changes. To *prepare* writes states into spare memory. To *finish* writes the generators
-    and scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
+    ``batch.py`` states how it changes. *Prepare* writes states into spare memory. *Finish* writes the generators and
+    scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
@@ -63,7 +63,7 @@ class ExactBatch:
         interface: Interface,
         control_dt: float,
         repeat: Repeat,
-        limits: Limits,
+        limits: EpisodeLimits,
         with_infos: bool = False,
         num_threads: int | None = None,
         randomize: Randomization | None = None,
@@ -81,8 +81,7 @@ class ExactBatch:
         several, pixels = len(scenes) > 1 or randomize is not None, interface.pixels
         past = None if pixels is None else Past(pixels, np.zeros((num_envs, pixels.stack, RATES)))
         self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
-        by_function = (randomize is not None and randomize.function is not None) or interface.task.start is not None
-        self._generators = fresh(num_envs, WITH_HALVES if by_function else WHOLE)  # (N, 4 or 6)
+        self._generators = fresh(num_envs)  # (N, 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
         self._threads = Threads(thread_count(num_threads, ranges))
@@ -129,7 +128,7 @@ class ExactBatch:
 
     @property
     def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
+        """True for each episode that is over, shape (N,)."""
         return np.not_equal(self._column(workspace.OVER), 0.0)
 
     def _column(self, row: int) -> Array:
@@ -159,7 +158,7 @@ class ExactBatch:
         words, table = self._generators[numbers], self._present.scenes
         for index, seed in enumerate(seeds or ()):
             if seed is not None:
-                words[index] = seeded(seed)[: words.shape[1]]
+                words[index] = seeded(seed)
         drawn, starting = self._randomize, self._interface.task.start is not None and not placed
         if changes is None and drawn is None and not starting:
             return Starts(numbers, words, None)
@@ -177,7 +176,7 @@ class ExactBatch:
                 scenes.append(scene)
             if starting:
                 states.append(draw_start(self._interface.task, scene, generator))
-            words[index] = words_of(generator)[: words.shape[1]]
+            words[index] = words_of(generator)
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
     def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
@@ -242,7 +241,7 @@ class ExactBatch:
         if starts := self._present.starts:
             self._generators[starts.numbers] = starts.generators
             if starts.scenes is not None:
-                self._present.scenes.put(starts.numbers, starts.scenes)
+                self._present.scenes.set_scenes(starts.numbers, starts.scenes)
             self._present = self._present._replace(starts=None)
 
     def observe(self, numbers: Indices, observations: Floats) -> None:
@@ -256,7 +255,7 @@ class ExactBatch:
         self._observe(present.scenes.rows(numbers), present.blocks, numbers, observations, present.past)
 
     def _observe(self, rows: Array, blocks: Array, numbers: Indices, observations: Any, past: Past | None) -> None:
-        """Likewise, of environments in ``blocks`` whose scenes have these ``rows`` of numbers."""
+        """Write the observations of environments in ``blocks``, whose scenes have these ``rows`` of numbers."""
         if past is not None:
             past.draw(rows, numbers, observations, self._threads)
             return
@@ -305,7 +304,7 @@ class ExactBatch:
         scenes = self._scenes_of_steps(int(actions is not None), steps, ahead)
         present = self._present.blocks
         before, spare = present.copy() if steps > 1 else present, self._taken()  # several steps overwrite it
-        calls = self._prepared(scenes, before, spare, np.zeros((0, 0)) if actions is None else actions, filled)
+        calls = self._calls_with(scenes, before, spare, np.zeros((0, 0)) if actions is None else actions, filled)
 
         # Threads that a second interruption left at work keep alive what the loop calls by its address.
         def work(thread: int, low: int, high: int, _called: Any = self._compiled) -> Ended:
@@ -342,17 +341,17 @@ class ExactBatch:
             trajectories=np.empty((count if shown else 0, shown, 12)),
         )
 
-    def _prepared(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
+    def _calls_with(self, scenes: Scenes, before: Array, spare: Array, controls: Array, filled: Results) -> list[Call]:
         """A call for each thread. They are not stored while threads use them."""
         stored, self._calls = self._calls, None
         if stored and stored[1] is scenes and not filled.trajectories.size:
             calls = stored[0]
             for call in calls:
-                call.prepare_again(before, spare, controls, filled)
+                call.set_arrays(before, spare, controls, filled)
         else:
             calls = stored[0] if stored else [Call(new_memory(self._width)) for _ in range(self._threads.count)]
             for call in calls:
-                call.prepare(scenes, self._rules, before, spare, controls, filled)
+                call.set_arguments(scenes, self._rules, before, spare, controls, filled)
         return calls
 
     def _outcome(self, filled: Results, finished: int, after: Array, actions: Array | None) -> Outcome:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.utils.seeding import np_random
 
-from jackbox_env.envs.batch import Change, Limits, Outcome, Starts, bad_action
+from jackbox_env.envs.batch import Change, EpisodeLimits, Outcome, Starts, bad_action
 from jackbox_env.envs.infos import blank
 from jackbox_env.envs.single import JackInBoxEnv, Snapshot
 from jackbox_env.model.randomization import Randomization, next_scene
@@ -32,15 +32,15 @@ class Present(NamedTuple):
 class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
-    ``batch.py`` states how it changes. To *prepare* moves the environments themselves; to *finish* returns them to
-    their snapshots in :class:`Present`, unless they are there.
+    ``batch.py`` states how it changes. *Prepare* moves the environments themselves; *finish* returns them to their
+    snapshots in :class:`Present`, unless they are there.
     """
 
     def __init__(
         self,
         scenes: Sequence[Scene],
         num_envs: int,
-        limits: Limits,
+        limits: EpisodeLimits,
         with_infos: bool,
         randomize: Randomization | None = None,
         **settings: Any,
@@ -68,19 +68,19 @@ class SingleBatch:
 
     @property
     def over(self) -> Flags:
-        """Which episodes are over, shape (N,)."""
+        """True for each episode that is over, shape (N,)."""
         return self._present.over.copy()
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
         if starts is None or starts.scenes is None or number not in starts.numbers:
-            return self._present.envs[number].parts[0].scene
+            return self._present.envs[number].model.simulator.scene
         scene: Scene = starts.scenes[int(np.searchsorted(starts.numbers, number))]
         return scene
 
     def field(self, name: str) -> Array:
         """A number of each environment's scene as it is now, by the name of its field, a fresh array, shape (N,)."""
-        return np.array([getattr(env.parts[0].scene, name) for env in self._present.envs], dtype=np.float64)
+        return np.array([getattr(env.model.simulator.scene, name) for env in self._present.envs], dtype=np.float64)
 
     def impacts(self, number: int) -> list[Impact]:
         """The impacts of an environment's last step, in time order; none if its state was set since."""
@@ -157,7 +157,7 @@ class SingleBatch:
     def _place(self, number: int, scene: Scene, state: Array, time: float, after: Present, steps: int = 0) -> None:
         """Set an environment's scene, state, time [s] and control steps of its episode, now and in ``after``."""
         env = self._envs[number]
-        env._place(env._parts_for(scene), state, time, steps)
+        env._place(env._model_of(scene), state, time, steps)
         after.envs[number] = env._snapshot()
 
     def _prepare(self) -> Present:

@@ -52,16 +52,7 @@ the jack's arm l = 1 m. Values are clipped to the bounds; `info["state"]` has th
 
 | Num | Observation                                    | Min | Max | Unit     |
 |-----|------------------------------------------------|-----|-----|----------|
-| 0   | x of the jack's centre, in the box frame       | -1  | 1   | L        |
-| 1   | y of the jack's centre, in the box frame       | -1  | 1   | L        |
-| 2   | x velocity relative to the box's centre (*)    | -10 | 10  | v0       |
-| 3   | y velocity relative to the box's centre (*)    | -10 | 10  | v0       |
-| 4   | cosine of the box's angle                      | -1  | 1   |          |
-| 5   | sine of the box's angle                        | -1  | 1   |          |
-| 6   | angular velocity of the box                    | -10 | 10  | v0 / L   |
-| 7   | cosine of 4 (jack's angle - box's angle)       | -1  | 1   |          |
-| 8   | sine of 4 (jack's angle - box's angle)         | -1  | 1   |          |
-| 9   | angular velocity of the jack                   | -10 | 10  | v0 / l   |
+OBSERVED NUMBERS
 
 (*) difference of the centres' velocities, along the box's axes; not the velocity seen from the turning box.
 
@@ -157,3 +148,13 @@ Raises:
     TypeError, ValueError: an argument out of its range; the message names the value and what is allowed. A refused
         call leaves the environment as it was.
 """
+
+from __future__ import annotations
+
+from jackbox_env.model.observation import STATE_TABLE
+
+_ROWS = [
+    f"| {k:<3} | {what:<46} | {-bound:<3} | {bound:<3} | {unit:<8} |"
+    for k, (_, what, bound, unit) in enumerate(STATE_TABLE)
+]
+__doc__ = (__doc__ or "").replace("OBSERVED NUMBERS", "\n".join(_ROWS))

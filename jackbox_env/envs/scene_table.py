@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jackbox_env.exact.glide import spread
+from jackbox_env.exact.glide import write_scene_params
 from jackbox_env.exact.workspace import SCENE_PARAMS, Scenes
 from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Chirp, Drive, Scene, SceneNumbers
@@ -37,7 +37,6 @@ class SceneTable:
         self, originals: Sequence[Scene], several: bool, shape: tuple[int, ...], count: int, dt: float
     ) -> None:
         self.originals, self.dt, self.count = originals, dt, count
-        self._scenes: dict[int, Scene] = {}  # those requested so far
         self._made_with: Array = np.array([scene.numbers for scene in originals])  # never changed
         rows = self._made_with.copy()
         self.drives: list[AnyDrive] = [scene.drive for scene in originals]
@@ -46,7 +45,7 @@ class SceneTable:
         self.values: Array = rows  # (1 or N, numbers of a scene)
         self.scene_params: Array = np.zeros((shape[0] if several else 1, SCENE_PARAMS, shape[2]))
         numbers = np.arange(count if several else shape[2])
-        compiled(spread)(self.values, dt, self.scene_params, numbers)
+        compiled(write_scene_params)(self.values, dt, self.scene_params, numbers)
         self._derive_kinds()
 
     @property
@@ -62,10 +61,10 @@ class SceneTable:
         self.driven_otherwise: Flags = np.array(
             [drive is not self.original_of(number).drive for number, drive in enumerate(self.drives)]
         )
-        self.kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
+        self.drive_kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
         self.cutting = [bool(np.isin(column, WITH_PIECES).any()) for column in columns]
         # For steps that need no pieces: the same object until kinds change.
-        self.plain = [Scenes(self.values, self.scene_params, column, *NO_PIECES) for column in self.kinds]
+        self.plain = [Scenes(self.values, self.scene_params, column, *NO_PIECES) for column in self.drive_kinds]
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""
@@ -114,12 +113,11 @@ class SceneTable:
         Raises:
             Exception: a drive fails over a first step.
         """
-        pieces = cut(self.drives, self.kinds[torque], times, steps, self.dt, 0.0 if torque else None, ahead)
-        return Scenes(self.values, self.scene_params, self.kinds[torque], *pieces)
+        pieces = cut(self.drives, self.drive_kinds[torque], times, steps, self.dt, 0.0 if torque else None, ahead)
+        return Scenes(self.values, self.scene_params, self.drive_kinds[torque], *pieces)
 
-    def put(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
+    def set_scenes(self, numbers: Counts, scenes: Array | list[Scene]) -> None:
         """Set the scenes of some environments, or the one of all. Rows have their numbers; they leave the drives."""
-        self._forget(numbers)
         if isinstance(scenes, list):
             for number, scene in zip(numbers.tolist() if self.several else [0], scenes, strict=False):
                 self.drives[number] = scene.drive
@@ -129,18 +127,11 @@ class SceneTable:
             self.values[numbers] = scenes
         else:
             self.values[0], scenes, numbers = scenes[0], scenes[:1], np.arange(self.scene_params.shape[2])
-        compiled(spread)(scenes, self.dt, self.scene_params, numbers)
-
-    def _forget(self, numbers: Counts) -> None:
-        for number in numbers.tolist() if self._scenes else ():
-            self._scenes.pop(number if self.several else 0, None)
+        compiled(write_scene_params)(scenes, self.dt, self.scene_params, numbers)
 
     def scene(self, number: int) -> Scene:
         """The scene that an environment has."""
-        index = number if self.several else 0
-        if index not in self._scenes:
-            self._scenes[index] = self.scene_of(number, self.values[index])
-        return self._scenes[index]
+        return self.scene_of(number, self.values[number if self.several else 0])
 
     def scene_of(self, number: int, row: Array) -> Scene:
         """The scene that an environment has with the numbers of ``row``."""

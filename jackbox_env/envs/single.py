@@ -55,16 +55,20 @@ VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
 )
-_KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the right arrow key
-    ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
-}  # fmt: skip
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
+
+
+class Model(NamedTuple):
+    """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
+
+    simulator: Simulator
+    functions: Functions
 
 
 class Snapshot(NamedTuple):
     """All of an environment that steps and resets change, but its generator and the frames of a list."""
 
-    parts: tuple[Simulator, Functions]
+    model: Model
     present: StepResult
     elapsed_steps: int
     impacts: Sequence[Impact] | None
@@ -124,9 +128,11 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         self._builtin, self._by_torque = interface.builtin, interface.action is ACTIONS["torque"]
         self._first_scene = scene = Scene.of(scene)
         self.simulator_of: Callable[[Scene], Simulator] = partial(make_simulator, **setting._asdict())
-        self._parts = make_simulator(scene, **setting._asdict()), make_functions(scene, interface, setting.contact)
+        self._model = Model(
+            make_simulator(scene, **setting._asdict()), make_functions(scene, interface, setting.contact)
+        )
         if not self._builtin:  # unfit functions raise now
-            self._parts[1].check_types(tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
+            self._model.functions.check_types(tasks.sample_start(self._first_scene, np_random(0)[0]), dt)
         self._randomize = None if randomize is None else Randomization(randomize, [scene], self.simulator_of)
         self._terms = [f"reward_{name}" for name in interface.task.terms]
         self.observation_space = interface.space
@@ -148,36 +154,35 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
 
     # -- the simulated system -----------------------------------------------------------------------------------------
 
-    def _parts_for(self, scene: Scene) -> tuple[Simulator, Functions]:
-        """The parts that depend on the scene. Assigned together, so that an interrupt cannot separate them."""
-        return self._parts if scene == self.scene else (self.simulator_of(scene), self._parts[1].of(scene))
+    def _model_of(self, scene: Scene) -> Model:
+        return self._model if scene == self.scene else Model(self.simulator_of(scene), self._model.functions.of(scene))
 
     @property
     def scene(self) -> Scene:
         """The present scene, every field resolved."""
-        return self._parts[0].scene
+        return self._model.simulator.scene
 
     @property
     def state(self) -> Array:
         """A copy of the 12 state numbers (see :mod:`jackbox_env.mechanics`), float64, SI units."""
-        return self._parts[0].state
+        return self._model.simulator.state
 
     @property
     def time(self) -> float:
         """Present time [s]."""
-        return self._parts[0].time
+        return self._model.simulator.time
 
     @property
     def impacts(self) -> list[Impact]:
         """The impacts of the last step, in time order."""
-        return self._parts[0].impacts if self._impacts is None else list(self._impacts)
+        return self._model.simulator.impacts if self._impacts is None else list(self._impacts)
 
     @property
     def observation(self) -> Observed:
         """The observation of the present state: a fresh array."""
         if self._past is not None:
             return self._pictures(self._past)
-        return self._parts[1].observe(self.state, self.time)
+        return self._model.functions.observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0, steps: int | None = None) -> None:
         """Set the state, shape (12,), and the time [s], exactly. The episode continues; a finished one starts anew.
@@ -191,7 +196,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         if steps is None:
             steps = 0 if self._over else self.elapsed_steps
         steps = check.whole("steps", steps, at_least=0, at_most=self.episode_steps)
-        self._place(self._parts, state, time, steps)
+        self._place(self._model, state, time, steps)
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
@@ -213,16 +218,16 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             scene = self._next_scene(generator, options.get("scene"))
             start = options.get("state")
             state = tasks.draw_start(self.interface.task, scene, generator) if start is None else as_start(scene, start)
-            parts = self._parts_for(scene)
+            model = self._model_of(scene)
             if self.interface.task not in tasks.TASKS.values():  # a wrong type of its functions raises now
-                parts[1].check_types(state)
-            observation = parts[1].observe(state, time)
+                model.functions.check_types(state)
+            observation = model.functions.observe(state, time)
         except BaseException:
             generator.bit_generator.state = bits
             raise
         super().reset(seed=seed)
         self._np_random = generator
-        self._place(parts, state, time)
+        self._place(model, state, time)
         observation = observation if self._past is None else self._pictures(self._past)
         if self.render_mode == "human":
             self.render()
@@ -237,12 +242,12 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             return self.scene
         return next_scene(self._first_scene, self._randomize, generator, changes or {})
 
-    def _place(self, parts: tuple[Simulator, Functions], state: ArrayLike, time: float, steps: int = 0) -> None:
+    def _place(self, model: Model, state: ArrayLike, time: float, steps: int = 0) -> None:
         """Continue in another scene, state and time [s], after some control steps of the episode, and draw it."""
-        parts[0].reset(state, time)
-        if self._renderer is not None and parts[0].scene != self.scene:
-            self._renderer.show(parts[0].scene)
-        self._parts, self._started, self._over = parts, True, steps >= self._limit
+        model.simulator.reset(state, time)
+        if self._renderer is not None and model.simulator.scene != self.scene:
+            self._renderer.show(model.simulator.scene)
+        self._model, self._started, self._over = model, True, steps >= self._limit
         self.elapsed_steps, self._impacts = steps, None
         self._start_pictures()
 
@@ -268,7 +273,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         most = left if left < self.repeat.steps else self.repeat.steps
         if most <= 0:
             raise gym.error.ResetNeeded(f"step must come after a reset, as the episode has had its {self._limit} steps")
-        simulator = self._parts[0]
+        simulator = self._model.simulator
         before = None if most == 1 and self._builtin else simulator.snapshot()
         try:
             whole, made, self.control_steps = self._decide(torque, controls, most)
@@ -305,11 +310,11 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         if most == 1:
             part = self._control_step(torque, controls, True)
             return part, 1, [part]
-        parts, impacts, sums = deque[ControlStep](maxlen=self.stored_steps), list[Impact](), list[float]()
+        steps, impacts, sums = deque[ControlStep](maxlen=self.stored_steps), list[Impact](), list[float]()
         made, ended, separated = 0, False, False
         while made < most and not ended:
             part = self._control_step(torque, controls, False)
-            parts.append(part)
+            steps.append(part)
             impacts += part.impacts
             values = [part.torque, part.impulse, part.reward, *part.terms]
             sums = list(map(add, sums, values)) if made else values
@@ -319,13 +324,13 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         mean, impulse, reward, *terms = sums
         whole = part._replace(
             torque=mean / made, impacts=impacts, impulse=impulse, terms=terms, reward=reward,
-            observation=self._parts[1].observe(part.state, part.time),
+            observation=self._model.functions.observe(part.state, part.time),
         )  # fmt: skip
-        return whole, made, parts
+        return whole, made, steps
 
     def _control_step(self, torque: float | None, controls: Array | None, observed: bool) -> ControlStep:
         """Make one control step under a ``torque`` [N m], an action's numbers ``controls``, (n,), or the drive."""
-        simulator, functions = self._parts
+        simulator, functions = self._model
         if controls is not None:
             share = clipped_share(functions.share(simulator.state, controls, simulator.time, self._dt))
             torque = share * simulator.scene.torque_limit
@@ -334,8 +339,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
     def render(self) -> Any:
         """Return a fresh frame, uint8, shape (height, width, 3), or show it in a window ("human").
 
-        In the mode "rgb_array_list" return, and clear, the frames of all control steps since the last call or reset,
-        that of the start included.
+        In the mode "rgb_array_list" return, and clear, the frames of control steps since the last call or reset.
         """
         if self._renderer is None:
             cause = "comes after close" if self.render_mode else 'needs a render_mode, e.g. render_mode="rgb_array"'
@@ -349,49 +353,27 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             self._renderer.close()
             self._renderer = None
 
-    @property
-    def get_keys_to_action(self) -> Callable[[], dict[tuple[int, ...], AnyAction]]:
-        """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
-
-        With the action "discrete" use ``play(..., noop=1)``: its default, 0, is the action of the right key.
-
-        Raises:
-            AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
-        """
-        if self.interface.action not in _KEYS:
-            raise AttributeError("there are keys for action='torque' and 'discrete' only")
-        left, right = _KEYS[self.interface.action]
-
-        def keys() -> dict[tuple[int, ...], AnyAction]:
-            import pygame
-
-            return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
-
-        return keys
-
-    # -- for batches --------------------------------------------------------------------------------------------------
-
     def _snapshot(self) -> Snapshot:
         """The environment as it is now, for :meth:`_restore`."""
         picture = None if self._renderer is None else self._renderer.snapshot()
-        return Snapshot(self._parts, self._parts[0].snapshot(), self.elapsed_steps, self._impacts, self._past, picture)
+        return Snapshot(
+            self._model, self._model.simulator.snapshot(), self.elapsed_steps, self._impacts, self._past, picture
+        )
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Return to the moment of a :meth:`_snapshot`."""
-        self._parts, present, self.elapsed_steps, self._impacts, self._past, picture = snapshot
-        self._parts[0].restore(present)
+        self._model, present, self.elapsed_steps, self._impacts, self._past, picture = snapshot
+        self._model.simulator.restore(present)
         if self._renderer is not None:
             self._renderer.show(self.scene)
             self._renderer.restore(picture)
-
-    # -- helpers ------------------------------------------------------------------------------------------------------
 
     def _torque_of(self, action: AnyAction) -> float:
         if type(action) is np.ndarray and action.shape == (1,) and action.dtype.char in "fd":
             value: float = action.item()
             if -1.0 <= value <= 1.0:  # most often
-                return value * self._parts[0].scene.torque_limit
-        return float(self.interface.action.checked(action)[0, 0]) * self._parts[0].scene.torque_limit
+                return value * self._model.simulator.scene.torque_limit
+        return float(self.interface.action.checked(action)[0, 0]) * self._model.simulator.scene.torque_limit
 
     def _info(self, of: ControlStep, steps: int) -> Infos:
         """The info of a decision of so many control steps."""
@@ -412,7 +394,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
 
     def _start_pictures(self) -> None:
         if self.interface.pixels is not None:
-            poses = np.tile(self._parts[0].state[:RATES], (1, self.interface.pixels.stack, 1))
+            poses = np.tile(self._model.simulator.state[:RATES], (1, self.interface.pixels.stack, 1))
             self._past = Past(self.interface.pixels, poses)
         if self._renderer is not None:
-            self._renderer.reset(self._parts[0].state, self._parts[0].time)
+            self._renderer.reset(self._model.simulator.state, self._model.simulator.time)

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
-from jackbox_env.envs.batch import Limits
+from jackbox_env.envs.batch import EpisodeLimits
 from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.one_by_one import SingleBatch
 from jackbox_env.envs.settings import ReadOnly, Settings
@@ -141,7 +141,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self._interface, self._driven = single.interface, torque == "chirp"
         self._terms = single.interface.task.terms if self._with_infos else None  # in infos
         shorter = decisions if max_episode_steps else None
-        limits = Limits.of(single.repeat, shorter or math.inf, single.episode_steps or math.inf)
+        limits = EpisodeLimits.of(single.repeat, shorter or math.inf, single.episode_steps or math.inf)
         self.metadata = {
             **single.metadata, "render_modes": self.metadata["render_modes"], "autoreset_mode": self._mode,
         }  # fmt: skip

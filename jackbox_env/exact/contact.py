@@ -150,7 +150,7 @@ def bounce_together(scene: SceneNumbers, memory: Workspace, count: int) -> None:
 
 
 def example() -> tuple[Any, ...]:
-    """What :func:`bounce_together` returns, and arguments of it."""
+    """A value that :func:`bounce_together` returns, and arguments of it."""
     return None, SceneNumbers(*[0.0] * len(SceneNumbers._fields)), new_workspaces()[0], 0
 
 

@@ -46,7 +46,7 @@ class Played(NamedTuple):
     """A rollout of N rows and H steps."""
 
     values: Array  # numbers of the scenes, shape (1 or N, numbers of a scene)
-    kinds: Counts  # what turns the box in each of them
+    drive_kinds: Counts  # what turns the box in each of them
     dt: float  # [s]
     torques: Array  # [N m], shape (N, H / repeat)
     trajectories: Array  # (N, H + 1, 12)
@@ -56,10 +56,10 @@ class Played(NamedTuple):
 
 
 def scene_of(played: Played, i: int) -> tuple[SceneNumbers, StepParameters]:
-    """Scene and plan of a row."""
+    """The scene of a row, and the parameters of its steps."""
     index = i if played.values.shape[0] > 1 else 0
     scene = make_numbers(played.values[index])
-    return scene, make_parameters(scene, played.dt, played.kinds[index])
+    return scene, make_parameters(scene, played.dt, played.drive_kinds[index])
 
 
 def torque_index(played: Played, k: int) -> int:
@@ -173,7 +173,7 @@ def propagate(
     tangent: Array,
     memory: Workspace,
 ) -> None:
-    """Take a tangent through a step; it becomes NaN if there is no derivative.
+    """Propagate a tangent through a step; it becomes NaN if there is no derivative.
 
     ``by_time`` is filled with the time shifts of impacts, shape (rows of the log or 0, columns).
     """
@@ -220,7 +220,7 @@ def matrices(
         scene, params = scene_of(played, i)
         stale = True  # whether the tangent is not that of a flight under a constant torque
         for k in range(played.smooth.shape[1]):
-            same = params.kind == CONSTANT and flies(played, i, k)
+            same = params.drive_kind == CONSTANT and flies(played, i, k)
             if stale or not same or by_field.shape[3] > 0:
                 fill_identity(tangent, seeds[i if seeds.shape[0] > 1 else 0])
                 propagate(played, scene, params, i, k, by_time, tangent, workspaces[0])

@@ -81,7 +81,7 @@ def without_turns(angle: float) -> float:
 
 
 def cos_sin_within(angle: float) -> tuple[float, float]:
-    """Like :func:`cos_sin` for +-``ONE_REDUCTION``, without a branch, so that a compiled loop is vectorized."""
+    """Cosine and sine within +-``ONE_REDUCTION``, without a branch, so that a compiled loop is vectorized."""
     quarters = np.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
     reduced = angle - quarters * _QUARTER_HIGH
     middle = quarters * _QUARTER_MIDDLE

@@ -314,7 +314,7 @@ def drift(block: Block, gravity: float, length: float, angle: float, rate: float
         jack_angle[k] += spin[k] * length
 
 
-def spread(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
+def write_scene_params(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
     """Write the numbers of scenes that rows moved together need, see ``workspace.SCENE_PARAMS``.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a step rarely needs is compiled when one first does: feet at rest, and impacts of several feet at a time.
+"""Code that a step rarely needs, compiled when one first does: feet at rest, and impacts of several feet at a time.
 
 It takes a third of the time to compile of all that a step may need. Steps call it by its address in the workspace, so
 that the hot code is the same before and after. A step that needs it first changes nothing and returns UNCOMPILED; the
@@ -35,7 +35,7 @@ def settle_and_advance(
 
 
 def example() -> tuple[Any, ...]:
-    """What :func:`settle_and_advance` returns, and arguments of it."""
+    """A value that :func:`settle_and_advance` returns, and arguments of it."""
     scene, piece = SceneNumbers(*[0.0] * len(SceneNumbers._fields)), constant_piece(0.0, 0.0)
     flight, tolerances = flight_of(scene, np.zeros(12), piece, 0.0), ContactTolerances(0.0, 0.0)
     return (Status.DONE, 0.0), scene, new_workspaces()[0], new_log(), piece, flight, 0.0, tolerances, 0.0
@@ -55,7 +55,7 @@ def advance_resting(
 
 
 def with_all(workspaces: Workspaces) -> Workspaces:
-    """The same workspaces, with the addresses of all that is compiled later; uncompiled, it needs none."""
+    """Workspaces with the addresses of all that is compiled later; uncompiled code needs none."""
     rest, together = compiled(settle_and_advance), compiled(bounce_together)
     if not isinstance(rest, FunctionType):
         workspaces["rest"], workspaces["together"] = address_of(rest, rest_at), address_of(together, together_at)

@@ -58,7 +58,7 @@ def fly_to(values: Array, kind: int, moments: Moments, states: Array, workspaces
 
 
 def leave_frames(values: Array, dt: float, kind: int, starts: Array, log: Array, workspaces: Workspaces) -> None:
-    """Take the states in a log of jumps out of the frames of their steps, which began in ``starts``, (rows, 12)."""
+    """Move the states in a log of jumps from the frames of their steps, which began in ``starts``, to the world."""
     memory = workspaces[0]
     params = make_parameters(make_numbers(values), dt, kind)
     for row in range(log.shape[0]):

@@ -1,4 +1,4 @@
-"""numpy's PCG64 in 32 bytes per environment, and what environments draw by it when episodes begin: scenes and starts.
+"""numpy's PCG64 in 48 bytes per environment, and what environments draw by it when episodes begin: scenes and starts.
 
 The random numbers are numpy's, bit for bit: O'Neill 2014, "PCG: A family of simple fast space-efficient statistically
 good algorithms" (PCG XSL RR 128/64). A test compares draws with numpy's own generator. Scenes come in rows of numbers,
@@ -71,7 +71,7 @@ Words = NDArray[np.uint64]
 # Words of a generator: state and increment, each a high and a low word. Then whether numpy stores half of a word, of
 # which a draw of 32 bits has used the other half, and that half. Compiled code draws whole words and needs neither.
 STATE_HIGH, STATE_LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF = range(6)
-WHOLE, WITH_HALVES = 4, 6  # words stored of a generator, without and with those of halves
+WHOLE = 4  # words of a generator without those of halves
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
@@ -119,7 +119,7 @@ def words_of(generator: np.random.Generator) -> Words:
 
 def generator_of(words: Words) -> np.random.Generator:
     """numpy's generator of these words, shape (6,), or (4,) without a stored half word."""
-    high, low, increment_high, increment_low, has_half, half = [*map(int, words), 0, 0][:WITH_HALVES]
+    high, low, increment_high, increment_low, has_half, half = [*map(int, words), 0, 0][: HALF + 1]
     generator = np.random.PCG64(0)
     generator.state = {
         "bit_generator": "PCG64",
@@ -130,9 +130,9 @@ def generator_of(words: Words) -> np.random.Generator:
     return np.random.Generator(generator)
 
 
-def fresh(count: int, width: int = WHOLE) -> Words:
-    """Independent generators from the system's entropy, shape (count, width)."""
-    words: Words = np.zeros((count, width), dtype=np.uint64)
+def fresh(count: int) -> Words:
+    """Independent generators from the system's entropy, shape (count, 6)."""
+    words: Words = np.zeros((count, HALF + 1), dtype=np.uint64)
     words[:, :HAS_HALF] = np.random.SeedSequence().generate_state(4 * count, np.uint64).reshape(count, 4)
     words[:, INCREMENT_LOW] |= _ONE  # increments are odd
     return words

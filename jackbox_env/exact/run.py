@@ -70,7 +70,7 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
     call = arguments_at(address)
     rules, memory, width = call.rules, call.memory.workspaces[0], call.before.shape[2]
     scene, count = make_numbers(call.scenes.values[0]), call.results.terminations.shape[0]
-    params = make_parameters(scene, rules.dt, call.scenes.kinds[0])
+    params = make_parameters(scene, rules.dt, call.scenes.drive_kinds[0])
     finished, recorded, memory.work = 0, 0, 0.0
     for number in range(low, high):
         for k in range(first if number == low else 0, rules.steps):
@@ -185,11 +185,11 @@ def fly_block(scene: SceneNumbers, params: StepParameters, scenes: Scenes, block
     """
     if block.before.shape[1] == 1:
         return False
-    constant = params.kind == CONSTANT
+    constant = params.drive_kind == CONSTANT
     if scenes.values.shape[0] > 1:
         for lane in range(block.size):
-            constant = constant or scenes.kinds[block.first + lane] == CONSTANT
-    elif params.kind == CHIRP and params.per_radian == 0.0:
+            constant = constant or scenes.drive_kinds[block.first + lane] == CONSTANT
+    elif params.drive_kind == CHIRP and params.per_radian == 0.0:
         # Not with loss: a single step then takes whole turns off the angles, which rounds differently.
         return glide_under_chirp(scene, params, block, memory)
     if constant:
@@ -217,7 +217,7 @@ def step_lanes(
         if time + params.dt == time or time + params.dt > LATEST_TIME:
             return Status.TOO_LATE, lane, recorded
         row = block.first + lane
-        kind = scenes.kinds[row] if varied else params.kind
+        kind = scenes.drive_kinds[row] if varied else params.drive_kind
         if memory.work > call.rules.patience and lane > first:
             memory.lane = lane
             return Status.PAUSED, lane, recorded
@@ -254,7 +254,7 @@ def mark_left(params: StepParameters, scenes: Scenes, block: Block, glided: bool
         on_time = (end != time[lane]) & (end <= LATEST_TIME)
         left[lane] = 0.0 if (over[lane] != 0.0) | (on_time & glided & (near[lane] == 0.0)) else 1.0
     for lane in range(block.size if glided and scenes.values.shape[0] > 1 else 0):
-        if scenes.kinds[block.first + lane] != CONSTANT and over[lane] == 0.0:
+        if scenes.drive_kinds[block.first + lane] != CONSTANT and over[lane] == 0.0:
             left[lane] = 1.0
 
 

@@ -1,4 +1,4 @@
-"""What tasks, observations and actions compute, in compiled code: of one state or of a block of rows.
+"""Rewards, observations and torques of actions in compiled code, of one state or of a block of rows.
 
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
 or :func:`observe_rows` after the last one; a single environment is a block of one row. They are called by their address
@@ -117,15 +117,10 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    rows = observations[low : low + count]
-    if values.shape[0] == 1:
-        scene = make_numbers(values[0])
-        for k in range(count):
-            write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
-    else:
-        for k in range(count):
-            row_scene = make_numbers(values[low + k])
-            write(row_scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], rows[k])
+    several = values.shape[0] > 1
+    for k in range(count):
+        scene = make_numbers(values[low + k if several else 0])
+        write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     return -1
 
 

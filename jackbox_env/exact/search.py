@@ -54,7 +54,7 @@ _PATIENT = 10_000.0  # gap evaluations in a search for one foot's impact before 
 
 
 class Event(NamedTuple):
-    """What a search has located."""
+    """The outcome of a search."""
 
     kind: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
     time: float  # since the flight's start [s]; NO_IMPACT: the search's end
@@ -222,7 +222,13 @@ def first_impact_fast_rotation(
 
 
 def may_rest(
-    scene: SceneNumbers, memory: Workspace, flight: Flight, limits: Limits, gap: float, rate: float, resolution: float
+    scene: SceneNumbers,
+    memory: Workspace,
+    flight: Flight,
+    limits: Limits,
+    gap: float,
+    rate: float,
+    resolution: float,
 ) -> bool:
     """Whether a foot with this gap [m] and rate [m/s] may be at rest, within ``resolution`` [m]; -inf: none may.
 

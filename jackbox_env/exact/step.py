@@ -74,10 +74,10 @@ CONSTANT, CHIRP, FUNCTIONS, CONSTANT_BESIDE_FORCES = range(4)
 
 
 class StepParameters(NamedTuple):
-    """What all steps of a call have in common."""
+    """Numbers that all steps of a call have in common."""
 
     dt: float  # [s]
-    kind: int  # what turns the box
+    drive_kind: int  # what turns the box: CONSTANT, CHIRP, FUNCTIONS or CONSTANT_BESIDE_FORCES
     clear: float  # squared centre distance within which contact is impossible [m^2]; negative: test disabled
     tolerance: float  # gap at which a foot touches [m]
     per_radian: float  # angle-rounding tolerance per radian of the larger angle [m/rad]; 0 if restitution is 1
@@ -92,7 +92,7 @@ class Pieces(NamedTuple):
 
 
 def make_parameters(scene: SceneNumbers, dt: float, kind: int) -> StepParameters:
-    """Compute what all steps have in common."""
+    """The numbers that all steps have in common."""
     # The jack's path bends off its chord by at most g dt^2 / 8.
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
     clear = distance * distance if distance > 0.0 else -1.0
@@ -121,7 +121,7 @@ def step(
         How it ended, and the mean torque [N m]. ``after`` is unchanged unless the step is ``DONE``.
     """
     reset_counters(memory)
-    if params.kind == CONSTANT:
+    if params.drive_kind == CONSTANT:
         alpha = torque / scene.box_inertia
         x, y = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
         vx, vy = before[VX_JACK] - before[VX_BOX], before[VY_JACK] - before[VY_BOX]
@@ -139,11 +139,11 @@ def step(
     if not is_resolved(scene, before):
         return Status.TOO_FAST, 0.0
     tolerances = enter_frame(params, before, memory)
-    if params.kind == CHIRP:
+    if params.drive_kind == CHIRP:
         ended, impulse = advance_chirp(scene, params, time, tolerances, memory, log)
     else:
         ended, impulse = advance_pieces(scene, params, torque, pieces, tolerances, memory, log)
-    mean = torque if params.kind == CONSTANT_BESIDE_FORCES else impulse / params.dt
+    mean = torque if params.drive_kind == CONSTANT_BESIDE_FORCES else impulse / params.dt
     return leave_frame(ended, params, before, after, memory, log), mean
 
 
@@ -283,7 +283,7 @@ def advance_pieces(
             inertia = scene.box_inertia if axis == TURN else scene.box_mass
             for k in range(DEGREE + 1):
                 memory.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
-            if axis == TURN and params.kind == CONSTANT_BESIDE_FORCES:
+            if axis == TURN and params.drive_kind == CONSTANT_BESIDE_FORCES:
                 for k in range(DEGREE + 1):
                     memory.powers[3 * axis, k] = 0.0
                 memory.powers[3 * axis, 0] = torque / inertia

@@ -53,8 +53,8 @@ ROWS = 22
 FIRST_FIELD = 13  # column
 
 
-def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
-    """Take a tangent through a flight of ``s`` [s].
+def fly_tangent(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
+    """Propagate a tangent through a flight of ``s`` [s].
 
     ``drift`` is the change of the box's centre and angle by the drive in that time, and of their rates, shape (6,).
     """
@@ -75,7 +75,7 @@ def fly(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> None:
 
 
 def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: Array, by_field: Array) -> float:
-    """Pull weights of the state after a flight back to the state before it: :func:`fly`, transposed.
+    """Pull weights of the state after a flight back to the state before it: :func:`fly_tangent`, transposed.
 
     Adds the derivatives by the fields to ``by_field``; returns that by the torque.
     """
@@ -131,7 +131,7 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
 
 
 def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) -> None:
-    """Take a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
+    """Propagate a tangent, and the state in ``memory.before``, through an impact that :func:`locate` has located."""
     at, row = memory.before, memory.contacts.gradients[0]
     frame, rate, inverse_effective_mass = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
     extent = scene.box_half_width - (row[X_BOX] * frame.x + row[Y_BOX] * frame.y)  # of the foot along the normal
@@ -156,7 +156,7 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
 
 
 def gap_change(d: Array, row: Array) -> float:
-    """By how much a gap with the gradient J in ``row`` changes with the coordinates of a tangent's column: J d."""
+    """The change of a gap with the gradient J in ``row`` by the coordinates of a tangent's column: J d."""
     return float(
         row[X_BOX] * (d[X_BOX] - d[X_JACK])
         + row[Y_BOX] * (d[Y_BOX] - d[Y_JACK])
@@ -175,7 +175,7 @@ def change_rates(
     inverse_effective_mass: float,
     d: Array,
 ) -> None:
-    """Take a column of a tangent through the impact law at a fixed moment: change its velocities.
+    """Propagate a column of a tangent through the impact law at a fixed moment: change its velocities.
 
     Args:
         scene: the scene.
@@ -217,12 +217,12 @@ def change_rates(
 def drifted(params: StepParameters, alpha: float, before: Array, after: Array, s: float, drift: Array) -> None:
     """Write the change of the box by the drive between two states, ``s`` [s] apart without an impact in between."""
     drift[:] = 0.0
-    if params.kind == CONSTANT or params.kind == CONSTANT_BESIDE_FORCES:
+    if params.drive_kind == CONSTANT or params.drive_kind == CONSTANT_BESIDE_FORCES:
         drift[2], drift[5] = 0.5 * alpha * s * s, alpha * s
     else:
         drift[2] = after[THETA_BOX] - before[THETA_BOX] - before[OMEGA_BOX] * s
         drift[5] = after[OMEGA_BOX] - before[OMEGA_BOX]
-    if params.kind == FUNCTIONS or params.kind == CONSTANT_BESIDE_FORCES:
+    if params.drive_kind == FUNCTIONS or params.drive_kind == CONSTANT_BESIDE_FORCES:
         for index in range(2):
             drift[index] = after[index] - before[index] - before[RATES + index] * s
             drift[3 + index] = after[RATES + index] - before[RATES + index]
@@ -232,7 +232,7 @@ def step_tangent(
     scene: SceneNumbers, params: StepParameters, torque: float, before: Array, after: Array, hits: Array,
     by_time: Array, tangent: Array, memory: Workspace,
 ) -> None:  # fmt: skip
-    """Take a tangent through a step from one state to the next.
+    """Propagate a tangent through a step from one state to the next.
 
     ``hits`` are the step's rows of a wide log. ``by_time`` is filled with the time shift of each, shape (hits or 0,
     columns).
@@ -246,7 +246,7 @@ def step_tangent(
         hit = hits[number]
         time = hit[0] + locate(scene, hit, memory)
         drifted(params, alpha, state, memory.before, time - since, drift)
-        fly(scene, tangent, time - since, drift)
+        fly_tangent(scene, tangent, time - since, drift)
         saltate(scene, tangent, hit, memory)
         for index in range(12):
             state[index] = memory.before[index]
@@ -254,4 +254,4 @@ def step_tangent(
         for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
             by_time[number, column] = tangent[IMPACT_TIME_SHIFT, column]
     drifted(params, alpha, state, end, params.dt - since, drift)
-    fly(scene, tangent, params.dt - since, drift)
+    fly_tangent(scene, tangent, params.dt - since, drift)

@@ -1,4 +1,4 @@
-"""What the compiled code reads and writes: the memory of a step, its log of impacts, and the arguments of ``run.run``.
+"""The memory of compiled code: of a step, its log of impacts, and the arguments of ``run.run``.
 
 Callers allocate all of it, and compiled code allocates nothing. A workspace is one record with named fields: passing
 its address costs less than passing several arrays, which would take longer than the physics.
@@ -181,8 +181,8 @@ class Scenes(NamedTuple):
     """The scenes and their drives: one for all rows, or one for each."""
 
     values: Array  # (1 or N, numbers of a scene)
-    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``glide.spread``
-    kinds: Counts  # (1 or N,), what turns the box, see step.py
+    scene_params: Array  # (1 or blocks, SCENE_PARAMS, width), see ``glide.write_scene_params``
+    drive_kinds: Counts  # (1 or N,), what turns the box, see step.py
     table: Array  # pieces of the drives' functions, (pieces, TABLE_WIDTH)
     begins: Counts  # (1 or N,), where the steps of a row's drive begin in ``ends``
     ends: Counts  # past the last piece of each step, after a leading 0 or the end of the step before; none: a failure
@@ -229,7 +229,7 @@ class Results(NamedTuple):
 
 
 class ThreadMemory(NamedTuple):
-    """ThreadMemory of one thread."""
+    """The memory of one thread."""
 
     scratch: Array  # (SCRATCH, width)
     workspaces: Workspaces  # (1,)
@@ -237,7 +237,7 @@ class ThreadMemory(NamedTuple):
 
 
 def new_memory(width: int, impacts: int = 0, wide: bool = False) -> ThreadMemory:
-    """ThreadMemory for one thread.
+    """Memory for one thread.
 
     Args:
         width: rows in a block.
@@ -277,9 +277,9 @@ class Call:
     def __init__(self, memory: ThreadMemory) -> None:
         self.memory = memory
         self._packed = np.zeros(PACKED)  # the arguments as compiled code reads them
-        self.address, self._pack, self._pack_again = 0, compiled(pack), compiled(pack_again)
+        self.address, self._pack, self._pack_arrays = 0, compiled(pack), compiled(pack_arrays)
 
-    def prepare(
+    def set_arguments(
         self, scenes: Scenes, rules: Rules, before: Array, after: Array, controls: Array, results: Results
     ) -> None:
         """Set the arguments. Numba unpacks plain tuples faster than named ones."""
@@ -288,11 +288,11 @@ class Call:
             self._packed, tuple(scenes), tuple(rules), before, after, controls, tuple(results), *self.memory
         )
 
-    def prepare_again(self, before: Array, after: Array, controls: Array, results: Results) -> None:
+    def set_arrays(self, before: Array, after: Array, controls: Array, results: Results) -> None:
         """Set other arrays for the same scenes and rules. From ``lengths`` on, the results have length 0."""
         scenes, rules, *_ = self._arguments
         self._arguments = scenes, rules, before, after, controls, results
-        self.address = self._pack_again(
+        self.address = self._pack_arrays(
             self._packed, self.address, before, after, controls, results.observations, results.rewards,
             results.returns, results.terminations, results.truncations, results.reports,
         )  # fmt: skip
@@ -301,7 +301,7 @@ class Call:
         """A copy of this call whose log has room for twice as many impacts; an interruption leaves this one intact."""
         log = self.memory.log
         twin = Call(self.memory._replace(log=np.zeros((2 * len(log), log.shape[1]))))
-        twin.prepare(*self._arguments)
+        twin.set_arguments(*self._arguments)
         return twin
 
 
@@ -322,7 +322,7 @@ def pack(
     return packed(memory.ctypes.data, filled)
 
 
-def pack_again(
+def pack_arrays(
     memory: Array, address: Any, before: Array, after: Array, controls: Array, observations: Floats, rewards: Array,
     returns: Array, terminations: Flags, truncations: Flags, reports: Array,
 ) -> Any:  # fmt: skip

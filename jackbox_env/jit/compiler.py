@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import builtins
 import itertools
+import math
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -156,7 +157,7 @@ class _Compilation:
         return self._twins[function, inner]
 
     def intermediate_code(self, function: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
-        """As the function of this name."""
+        """LLVM's code of a function and its name there: :func:`intermediate_code`."""
         with _LOCK, uninterrupted():
             result = _native().compiled_at(self.compiled(function, inner=True), arguments)
             return _native().unoptimized(result.library), result.fndesc.llvm_func_name
@@ -168,7 +169,7 @@ class _Compilation:
         namespace = function.__globals__ if foreign else {**function.__globals__, **self._substitutes}
         known = self._counterparts(names, namespace)
         cells = tuple(CellType(self._counterpart(cell.cell_contents, names)) for cell in function.__closure__ or ())
-        defaults = tuple(map(_native().signed, map(_copied, function.__defaults__ or ())))
+        defaults = tuple(map(_signed, map(_copied, function.__defaults__ or ())))
         twin = FunctionType(function.__code__, known, function.__name__, defaults, cells)
         twin.__module__ = function.__module__ or "__main__"  # exec makes functions without a module
         twin.__qualname__ = f"{full_name(function)}{'()' if inner else ''}{self._label}"
@@ -219,15 +220,15 @@ class UsersFunctions(_Compilation):
         return cast(F, self.entries[function])
 
     def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
-        """The same with further substitutes of functions of this package; the user's functions are not read again."""
+        """A copy with further substitutes of functions of this package; the user's functions are not read again."""
         other = UsersFunctions(lambda _: self._substitutes | substitutes)
         other._twins = {key: twin for key, twin in self._twins.items() if is_foreign(key[0])}
         return other
 
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
-        """What a user's function of scene, state and ``further`` arguments like these returns, and numba's name of it.
+        """The type that a user's function of scene, state and ``further`` arguments returns, and numba's name of it.
 
-        That is ``bool``, ``float`` for another real number, ``(float, float)`` for two numbers, or None.
+        The type is ``bool``, ``float`` for another real number, ``(float, float)`` for two numbers, or None.
 
         Raises:
             Exception: numba cannot compile it.
@@ -252,6 +253,24 @@ def _copied(value: Any) -> Any:
     elif isinstance(value, tuple):
         return tuple.__new__(type(value), map(_copied, value))
     return value
+
+
+class _MinusZero(float):
+    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _MinusZero)
+
+    def __hash__(self) -> int:
+        return hash("-0.0")
+
+
+def _signed(default: Any) -> Any:
+    """A default of an argument, in which -0.0 differs from 0.0."""
+    if type(default) is tuple:
+        return tuple(map(_signed, default))
+    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
+    return _MinusZero(default) if minus_zero else default
 
 
 def _jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk: bool) -> Any:
@@ -297,7 +316,7 @@ def packed(address: Any, value: T) -> T:
 
 
 def called_later(function: Callable[[], F], example: Callable[[], tuple[Any, ...]]) -> Callable[[Any], F]:
-    """Like :func:`called_at`, for a function of this package that may be compiled later than those that call it.
+    """A :func:`called_at` for a function of this package that may be compiled later than those that call it.
 
     Uncompiled, the function is called, whatever the address.
 
@@ -321,7 +340,7 @@ _SIGNATURES: dict[Callable[..., Any], Callable[[], Any]] = {}  # return numba's 
 
 
 def is_compiled(_address: Any) -> bool:
-    """Whether there is a function at an address of :func:`called_later`; uncompiled, there is."""
+    """Whether there is a function at an address of :func:`called_later`; True if nothing is compiled."""
     return True
 
 
@@ -358,7 +377,7 @@ def _make_intrinsic(function: Any) -> Any:
         return bool
     native = _native()
     if function is numbers_in:
-        return native.spread
+        return native.numbers_on_stack
     if function is packed:
         return native.stored_at(lambda: [made() for made in _EXAMPLES.values()])
     if function in _SIGNATURES:

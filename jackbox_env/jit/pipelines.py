@@ -14,7 +14,6 @@ import contextlib
 import gc
 import inspect
 import itertools
-import math
 import pickle
 import pkgutil
 from collections.abc import Callable, Iterator
@@ -65,7 +64,7 @@ FASTER = (
 
 
 def _lacking(names: tuple[str, ...]) -> list[str]:
-    """Those of the names above that the installed numba and llvmlite lack."""
+    """The names among these that the installed numba and llvmlite lack."""
     lacking = []
     for name in names:
         where, _, used = name.partition(" ")
@@ -137,7 +136,7 @@ class _Typing(Context):
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without Python's search for cycles, which took a fifth of the time: next to nothing is garbage meanwhile."""
+    """Pause Python's search for cycles, which took a fifth of the time: next to nothing is garbage meanwhile."""
     if not gc.isenabled():
         yield
         return
@@ -351,7 +350,7 @@ def _float_of(number: Any) -> Any:
 
 
 @intrinsic
-def spread(typing: Any, values: Any) -> Any:
+def numbers_on_stack(typing: Any, values: Any) -> Any:
     """Compiled, it returns a number, or the numbers of a tuple, as an array of float64 on the stack.
 
     A loop over an array takes less time to compile than one over a tuple, for which numba writes a case for each item.
@@ -391,21 +390,3 @@ def loaded_from(kind: Any) -> Any:
         return kind(types.int64), generate
 
     return load
-
-
-class _MinusZero(float):
-    """-0.0, but not equal to 0.0: numba takes equal defaults of arguments for one, whatever function has them."""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _MinusZero)
-
-    def __hash__(self) -> int:
-        return hash("-0.0")
-
-
-def signed(default: Any) -> Any:
-    """The same default of an argument, in which -0.0 differs from 0.0."""
-    if type(default) is tuple:
-        return tuple(map(signed, default))
-    minus_zero = isinstance(default, float) and default == 0.0 and math.copysign(1.0, default) < 0.0
-    return _MinusZero(default) if minus_zero else default

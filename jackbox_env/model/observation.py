@@ -1,9 +1,9 @@
 """Observations: the numbers that an agent sees, from the scene, the state and the time.
 
-The docstring of :class:`jackbox_env.JackInBoxEnv` has the table of ``"state"``, ten numbers of order one from the state
-alone. The cross repeats every quarter turn, hence the cosine and sine of four times its angle. ``"landing"`` appends
-the eleven numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact model
-compiles the functions here and those of a user, see ``exact/score.py``.
+``"state"`` is the ten numbers of ``STATE_TABLE``, of order one, from the state alone; the environment's page has the
+table, too. The cross repeats every quarter turn, hence the cosine and sine of four times its angle. ``"landing"``
+appends the eleven numbers of :data:`jackbox_env.model.landing.FEATURES`. Values are clipped to their bounds. The exact
+model compiles the functions here and those of a user, see ``exact/score.py``.
 """
 
 from __future__ import annotations
@@ -25,15 +25,25 @@ from jackbox_env.model.states import Array, Floats, Numbers, State
 from jackbox_env.model.tasks import TaskError
 from jackbox_env.tools import checks as check
 
-BOUNDS = np.array([1, 1, 10, 10, 1, 1, 10, 1, 1, 10], dtype=np.float32)
-NAMES = (
-    "x", "y", "vx", "vy", "cosine_box", "sine_box", "omega_box", "cosine_4", "sine_4", "omega_jack",
-)  # fmt: skip
+STATE_TABLE = (  # name, description, bound and unit; (*) see the environment's page
+    ("x", "x of the jack's centre, in the box frame", 1, "L"),
+    ("y", "y of the jack's centre, in the box frame", 1, "L"),
+    ("vx", "x velocity relative to the box's centre (*)", 10, "v0"),
+    ("vy", "y velocity relative to the box's centre (*)", 10, "v0"),
+    ("cosine_box", "cosine of the box's angle", 1, ""),
+    ("sine_box", "sine of the box's angle", 1, ""),
+    ("omega_box", "angular velocity of the box", 10, "v0 / L"),
+    ("cosine_4", "cosine of 4 (jack's angle - box's angle)", 1, ""),
+    ("sine_4", "sine of 4 (jack's angle - box's angle)", 1, ""),
+    ("omega_jack", "angular velocity of the jack", 10, "v0 / l"),
+)
+NAMES = tuple(name for name, *_ in STATE_TABLE)
+BOUNDS = np.array([bound for _, _, bound, _ in STATE_TABLE], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What an agent observes: named numbers, each between bounds.
+    """An agent's observation: named numbers, each between bounds.
 
     One of your own is accepted wherever the name of one is, ``gym.make("JackInBox-v0", observation=height)``.
 

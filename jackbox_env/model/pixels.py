@@ -14,7 +14,7 @@ _MOST = 100_000_000  # of an observation
 
 @dataclass(frozen=True)
 class Pixels:
-    """What an agent observes: grey pictures of the last control steps, uint8, shape (height, width, stack).
+    """An agent's observation by pictures: grey, of the last control steps, uint8, shape (height, width, stack).
 
     ``gym.make("JackInBox-v0", observation=Pixels(size=(64, 64), stack=4))``. ``"pixels"`` is the default one, and
     ``"pixels-64x64x4"`` (width, height, stack) this one, where only text can be passed.

@@ -142,7 +142,7 @@ def start_pose(scene: AnyScene, x: float, y: float, angle: float) -> tuple[float
 
 
 def juggle(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float]:
-    """Keep the jack near the middle of the box: ``centre`` = 1 - |r| / max(L - l, L / 6), at least 0."""
+    """Keep the jack near the middle of the box."""
     half_width = scene.box_half_width
     x, y = state.x_jack - state.x_box, state.y_jack - state.y_box
     return (max(0.0, 1.0 - math.sqrt(x * x + y * y) / max(half_width - scene.jack_arm, half_width / 6.0)),)
@@ -151,8 +151,7 @@ def juggle(scene: AnyScene, state: State, torque: float, impulse: float) -> tupl
 def spin(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float]:
     """Spin the jack counter-clockwise while the box is calm.
 
-    ``spin`` = omega_jack l / v0, clipped to [-1, 1], times calm = 1 - |omega_box| L / v0, at least 0. Spinning the
-    other way costs as much as it earns, so luck averages out; spinning the box up ends all pay.
+    Spinning the other way costs as much as it earns, so luck averages out; spinning the box up ends all pay.
     """
     rate = state.omega_jack * scene.jack_arm / scene.speed_scale
     return (max(-1.0, min(1.0, rate)) * _calm(scene, state, 1.0),)
@@ -161,8 +160,7 @@ def spin(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[
 def rattle(scene: AnyScene, state: State, torque: float, impulse: float) -> tuple[float, float]:
     """Knock hard at little torque.
 
-    ``knock`` = impulse / (4 m_j v0), at most 1, times 1 - |omega_box| L / (2 v0), at least 0: a jack turned back at v0
-    makes a knock of 1/2. ``effort`` = -0.01 (torque / torque limit)^2, the torque clipped to its limit.
+    A jack turned back at v0 makes a knock of 1/2.
     """
     knock = min(1.0, impulse / (4.0 * scene.jack_mass * scene.speed_scale))
     effort = min(1.0, abs(torque) / scene.torque_limit)

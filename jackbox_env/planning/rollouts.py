@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.exact.geometry import outside
-from jackbox_env.exact.glide import spread
+from jackbox_env.exact.glide import write_scene_params
 from jackbox_env.exact.run import PATIENCE, run
 from jackbox_env.exact.score import block_scorer, score_block
 from jackbox_env.exact.threads import Ended, Halt, Threads, run_blocks, thread_count
@@ -270,7 +270,7 @@ def run_rollouts(
     controls = np.zeros((0, 0)) if options.drives_turn else np.ascontiguousarray(torques.T)
     calls = [Call(new_memory(width, 0 if tape is None else _ROOM, tape is not None)) for _ in range(threads.count)]
     for call in calls:
-        call.prepare(played, rules, blocks[0], blocks[1], controls, results)
+        call.set_arguments(played, rules, blocks[0], blocks[1], controls, results)
     loop, halt = compiled(run), Halt()
 
     # The score is called by its address, also in threads that a second interruption left at work: they keep it alive.
@@ -361,7 +361,7 @@ def _scenes_played(
     """
     values = np.array([one.numbers for one in scenes])
     scene_params = np.zeros((shape[1] if len(scenes) > 1 else 1, SCENE_PARAMS, shape[3]))
-    compiled(spread)(values, dt, scene_params, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
+    compiled(write_scene_params)(values, dt, scene_params, np.arange(len(scenes) if len(scenes) > 1 else shape[3]))
     drives = [one.drive if driven else None for one in scenes]
     kinds = np.array([drive_kind(drive, torque is not None) for drive in drives], np.int64)
     if not any(kind in WITH_PIECES for kind in kinds.tolist()):  # np.isin takes longer than a short rollout

@@ -69,15 +69,15 @@ def _described(motion: Motion, shown: Samples, title: str, facts: Facts) -> dict
         "timeScale": scene.box_half_width / scene.speed_scale,  # of a fall across the box [s]
         "held": motion.torques is not None,
         "columns": ["time", *STATE_NAMES, "torque", "energy", "work"],
-        "samples": packed(columns, "<f8"),
+        "samples": base64_of(columns, "<f8"),
         "listed": _MOST_LISTED,
-        "impacts": packed(impacts["time"], "<f8"),
-        "impulses": packed(impacts["impulse"], "<f8"),
-        "meetings": packed(4 * impacts["wall"] + impacts["foot"], "u1"),  # of a wall and a foot
+        "impacts": base64_of(impacts["time"], "<f8"),
+        "impulses": base64_of(impacts["impulse"], "<f8"),
+        "meetings": base64_of(4 * impacts["wall"] + impacts["foot"], "u1"),  # of a wall and a foot
     }
 
 
-def packed(numbers: Any, kind: str) -> str:
+def base64_of(numbers: Any, kind: str) -> str:
     """Numbers as base64 of an array of this kind, numpy's name of it."""
     return base64.b64encode(np.asarray(numbers).astype(kind).tobytes()).decode()
 

@@ -77,7 +77,7 @@ def _exact_record(scene: Scene, state: Array, time: float, dt: float, steps: int
         hits=np.zeros((steps, 1), np.int64), impulses=np.zeros((steps, 1)),
     )  # fmt: skip
     calls = [Call(ThreadMemory(np.zeros((SCRATCH, 1)), new_workspaces(), np.zeros((_ROOM, JUMPS))))]
-    calls[0].prepare(
+    calls[0].set_arguments(
         Scenes(values, np.zeros((1, SCENE_PARAMS, 1)), kind, *pieces),
         Rules(dt, steps=steps, continue_after_done=True, patience=PATIENCE),
         blocks[0], blocks[1], np.zeros((0, 0)) if torques is None else np.array(torques[:steps])[:, None], results,

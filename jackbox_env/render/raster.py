@@ -66,7 +66,7 @@ class Past(NamedTuple):
         return self._replace(poses=np.take_along_axis(poses, places[..., None], axis=1))
 
     def later(self, states: Array) -> Past:
-        """That after control steps that all environments have made, to ``states``, shape (N, steps, 12)."""
+        """The past after control steps of all environments, which led to ``states``, shape (N, steps, 12)."""
         poses = np.concatenate([self.poses, states[..., :RATES]], axis=1)
         return self._replace(poses=poses[:, -self.pixels.stack :])
 

@@ -139,7 +139,7 @@ class _ReplayByDuration(ReplayBuffer):
         super().add(obs, next_obs, action, reward, done, infos)
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
-        """As that of ReplayBuffer, with discounts."""
+        """Samples of ReplayBuffer, with discounts."""
         chosen = batch_inds, np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002 - of its seed
         columns = (
             self._normalize_obs(self.observations[chosen], env),

@@ -205,7 +205,7 @@ def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
 
 
 def entry_of(file: Path) -> dict[str, Any]:
-    """What env.json beside a model has about it.
+    """The entry of a model in the env.json beside it.
 
     A model that was renamed has the only entry, if no other model is in its folder.
 

@@ -290,14 +290,6 @@ class EnvView(Settings):
         frames = self._vector_env.render()
         return frames[self._number] if frames else None
 
-    def get_wrapper_attr(self, name: str) -> Any:
-        """The attribute of that name."""
-        return getattr(self, name)
-
-    def has_wrapper_attr(self, name: str) -> bool:
-        """Whether there is an attribute of that name."""
-        return hasattr(self, name)
-
 
 def _some(infos: dict[str, Any], numbers: list[int]) -> dict[str, Any]:
     """Infos of some environments, nested ones too."""

@@ -1,4 +1,4 @@
-"""What an agent observes, does and earns in one state, in the arithmetic of its contact model.
+"""An agent's observation, action and reward in the arithmetic of its contact model.
 
 With the exact model the functions are compiled, so the single environment equals the batched one bit for bit. With
 pymunk they are plain Python, which loads no compiler. A user's functions get the same scene numbers from both.

@@ -173,7 +173,7 @@ class Simulator(ABC):
         return StepResult(np.array(state), time, mean, impacts)
 
     def step_checked(self, dt: float, torque: float | None, *scoring: Any) -> StepResult:
-        """As :meth:`step`, for arguments that are checked. A later step may overwrite the result's state.
+        """Make a :meth:`step` whose arguments are checked. A later step may overwrite the result's state.
 
         ``scoring``: for a ``compiled`` model, the ``Scoring`` of ``exact.py`` that its step fills in.
         """
@@ -202,7 +202,7 @@ class Simulator(ABC):
             JackLostError: the jack would leave the box, or cannot be followed.
         """
 
-    def _prepare(self) -> None:  # noqa: B027  # some have nothing to build
+    def _build_unpickled(self) -> None:  # noqa: B027  # some have nothing to build
         """Build the parts that are not pickled."""
 
     def __getstate__(self) -> dict[str, Any]:
@@ -211,4 +211,4 @@ class Simulator(ABC):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._inside = ThreadNote()
-        self._prepare()
+        self._build_unpickled()

@@ -181,15 +181,15 @@ class ExactSimulator(Simulator):
     def __init__(self, scene: Scene) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         super().__init__(scene)
-        self._prepare()
+        self._build_unpickled()
 
     @override
     def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
-        present, prepared = self._present, self._prepared
+        present, set_for = self._present, self._set_for
         if torque is not None:
             self._control[0] = torque
-        if prepared[0] != dt or prepared[1] is not (torque is not None) or prepared[2] is not scoring:
-            self._prepare_step(dt, torque, scoring)
+        if set_for[0] != dt or set_for[1] is not (torque is not None) or set_for[2] is not scoring:
+            self._set_arguments(dt, torque, scoring)
         into = 1 if present.state is self._states[0] else 0  # the state in the other block stays as it is
         if present.state is not self._states[1 - into]:
             self._states[1 - into][:] = present.state
@@ -229,7 +229,7 @@ class ExactSimulator(Simulator):
         self._states[into][:] = state
         return self._states[into]
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         blocks = np.zeros((2, 1, HEIGHT, 1))  # before and after a step, in turn
         self._blocks, self._states = blocks, list(blocks[:, 0, :12, 0])
         self._calls, self._controls = [Call(new_memory(1, 64)) for _ in range(2)], np.zeros((1, 1))
@@ -239,10 +239,10 @@ class ExactSimulator(Simulator):
         self._kinds = [np.array([drive_kind(self.scene.drive, held)], np.int64) for held in (False, True)]
         self._cut = [kind[0] in WITH_PIECES for kind in self._kinds]
         # The steps for which arguments are set: their dt [s], whether a torque is held, and how they are scored.
-        self._prepared: tuple[float | None, bool, Scoring] = None, False, UNSCORED
+        self._set_for: tuple[float | None, bool, Scoring] = None, False, UNSCORED
         self._present = self._present._replace(state=self._as_stored(self._present.state))
 
-    def _prepare_step(self, dt: float, torque: float | None, scoring: Scoring) -> None:
+    def _set_arguments(self, dt: float, torque: float | None, scoring: Scoring) -> None:
         """Set the arguments of steps from one block to the other, and back."""
         held, pieces = torque is not None, NO_PIECES
         if self._cut[held]:
@@ -250,11 +250,11 @@ class ExactSimulator(Simulator):
         numbers, scene_params = np.array([self.scene.numbers]), np.zeros((1, SCENE_PARAMS, 1))
         scenes = Scenes(numbers, scene_params, self._kinds[held], *pieces)
         controls = self._controls if held else np.zeros((0, 0))
-        rules = Rules(dt, score=scoring.score, observe=scoring.observe)
-        self._prepared = None, held, scoring
+        rules = Rules(dt, continue_after_done=True, score=scoring.score, observe=scoring.observe)
+        self._set_for = None, held, scoring
         for into, call in enumerate(self._calls):
-            call.prepare(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, scoring.results)
-        self._prepared = None if self._cut[held] else dt, held, scoring
+            call.set_arguments(scenes, rules, self._blocks[1 - into], self._blocks[into], controls, scoring.results)
+        self._set_for = None if self._cut[held] else dt, held, scoring
 
 
 _new: Callable[..., StepResult] = tuple.__new__  # twice as fast as StepResult(...)

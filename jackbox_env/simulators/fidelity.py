@@ -37,7 +37,7 @@ COMMANDS = "exact"  # fidelity of commands by default
 
 
 def explicit(setting: Setting) -> Setting:
-    """The same setting in one form: pymunk with its substeps by default is "balanced"."""
+    """The setting with its defaults filled in: pymunk without substeps is "balanced"."""
     return FIDELITIES["balanced"] if setting == Setting(DEFAULT) else setting
 
 

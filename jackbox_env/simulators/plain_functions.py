@@ -1,4 +1,4 @@
-"""What an agent observes, does and earns in one state, in plain Python, which loads no compiler."""
+"""An agent's observation, action and reward in one state, in plain Python, which loads no compiler."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NO_OBSERVATION: Observed = np.empty(0, dtype=np.float32)  # in place of an obser
 
 
 class Interface(NamedTuple):
-    """What an agent earns, observes and does."""
+    """The task, the observation and the action of an environment."""
 
     task: Task
     observation: Observation = STATE
@@ -56,7 +56,7 @@ class Interface(NamedTuple):
 
     @property
     def space(self) -> gym.spaces.Box:
-        """Of the observations."""
+        """The space of the observations."""
         pictures = self.pixels and gym.spaces.Box(0, 255, self.pixels.shape, np.uint8)
         return pictures or gym.spaces.Box(*self.observation.bounds, dtype=np.float32)
 
@@ -84,7 +84,7 @@ new_step: Callable[..., ControlStep] = tuple.__new__  # twice as fast as Control
 
 
 class Functions(ABC):
-    """What an agent earns, observes and does in a scene, in the arithmetic of its contact model."""
+    """An agent's reward, observation and action in a scene, in the arithmetic of its contact model."""
 
     interface: Interface
 
@@ -115,7 +115,7 @@ class Functions(ABC):
 
     @abstractmethod
     def of(self, scene: Scene) -> Functions:
-        """The same for another scene."""
+        """The functions of another scene with the same task, observation and action."""
 
     def check_types(self, state: Array, control_dt: float | None = None) -> None:  # noqa: B027
         """Evaluate a user's plain functions in a start, without torque and impulse, to see wrong types early.

@@ -106,7 +106,7 @@ class _Load(NamedTuple):
 
     @classmethod
     def of(cls, means: list[tuple[float, float]]) -> _Load:
-        """From the averages over each substep under a falling and under a rising triangle."""
+        """The load whose averages over each substep, under a falling and a rising triangle, are ``means``."""
         falling = [mean[0] for mean in means]
         rising = [mean[1] for mean in means]
         during = [0.5 * (now + after) for now, after in zip(rising, [*falling[1:], rising[-1]], strict=True)]
@@ -138,7 +138,7 @@ class PymunkSimulator(Simulator):
             iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
         self._dirty = True  # whether the engine may remember something that (state, time) does not determine
-        self._prepare()
+        self._build_unpickled()
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -158,7 +158,7 @@ class PymunkSimulator(Simulator):
         return cast(list[float], self._present.state)
 
     def _as_stored(self, state: Array) -> list[float]:
-        """As Python's numbers."""
+        """The state as Python's numbers."""
         return cast(list[float], state.tolist())
 
     def _may_touch(self, dt: float, torque: float | None) -> bool:
@@ -286,7 +286,7 @@ class PymunkSimulator(Simulator):
 
     # -- the engine's space -------------------------------------------------------------------------------------------
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         self._drive = Drive() if self.scene.drive is None else self.scene.drive
         self._motion = Buffer()
         self._build()

@@ -36,7 +36,7 @@ optimiser = torch.optim.Adam(parameters, lr=1e-3, eps=1e-5)
 
 
 def log_probability(observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-    """Of actions, shape (n, 1), under the policy: shape (n,)."""
+    """Log-probabilities of actions, shape (n, 1), under the policy: shape (n,)."""
     policy = torch.distributions.Normal(actor(observations), log_std.exp())
     return policy.log_prob(actions).sum(-1)  # type: ignore[no-any-return]
 

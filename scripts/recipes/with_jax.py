@@ -27,7 +27,7 @@ def pulled_back(
 
 @jax.custom_vjp  # type: ignore[untyped-decorator]
 def trajectories(states: jax.Array, torques: jax.Array) -> jax.Array:
-    """From states, (n, 12), under torques, (n, 10): all states, (n, 101, 12)."""
+    """All states, (n, 101, 12), from first states, (n, 12), under torques, (n, 10)."""
     shape = jax.ShapeDtypeStruct((len(states), 1 + REPEAT * torques.shape[1], 12), states.dtype)
     return jax.pure_callback(lambda *two: linearized(*two).trajectories, shape, states, torques)
 
@@ -39,7 +39,7 @@ trajectories.defvjp(
 
 
 def distances(torques: jax.Array) -> jax.Array:
-    """Of the jack from the middle of the box at the end [m]."""
+    """Distance of the jack from the middle of the box at the end [m]."""
     starts = jnp.zeros((8, 12)).at[:, X_JACK].set(jnp.linspace(0.3, 1.0, 8))
     starts = starts.at[:, THETA_JACK].set(0.1)
     end = trajectories(starts, torques)[:, -1]

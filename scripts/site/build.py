@@ -31,7 +31,7 @@ from jackbox_env.model.action import ACTIONS, repeat_of
 from jackbox_env.model.scene import BOUNDS, SceneNumbers
 from jackbox_env.model.states import START_TOLERANCE, STATE_NAMES
 from jackbox_env.model.tasks import TASKS
-from jackbox_env.recording.page import assembled, packed
+from jackbox_env.recording.page import assembled, base64_of
 from jackbox_env.tools.command_line import command_line
 from jackbox_env.tools.files import write_bytes, write_text
 from scripts.site import entries
@@ -98,7 +98,7 @@ def ensure_page(path: Path | None = None) -> Path:
     source = assembled(template, {**described, "module": f"{cache_folders()[-1].name}/{name}"}, **parts)
     mark = hashlib.sha256(source.encode()).hexdigest()
     if not path.is_file() or mark.encode() not in path.read_bytes():
-        physics = packed(np.frombuffer(module(name), np.uint8), "u1")
+        physics = base64_of(np.frombuffer(module(name), np.uint8), "u1")
         write_text(path, assembled(template, {**described, "module": physics, "source": mark}, **parts))
     return path
 
@@ -181,7 +181,7 @@ def _agent(folder: Path) -> dict[str, Any]:
         raise ValueError(f"the page's networks observe 'state' or 'landing' and have two hidden layers, got {folder}")
     longest, most = repeat_of(settings["action_repeat"], settings["control_dt"])
     return {
-        "weights": packed(np.round(weights / scale), "<i2"), "scale": scale, "hidden": hidden, "outputs": outputs,
+        "weights": base64_of(np.round(weights / scale), "<i2"), "scale": scale, "hidden": hidden, "outputs": outputs,
         "longest": longest, "max_contact_steps": most,
     }  # fmt: skip
 

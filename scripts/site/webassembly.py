@@ -64,7 +64,7 @@ class _Context(cpu.CPUContext):
 
 
 def compile_for_webassembly() -> None:
-    """From now on numba compiles for WebAssembly in this process, and nothing that it compiles can be called.
+    """Let numba compile for WebAssembly in this process from now on; nothing that it compiles can then be called.
 
     Raises:
         RuntimeError: numba has compiled for this machine before.

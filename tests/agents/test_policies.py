@@ -60,7 +60,7 @@ def test_the_defaults_suit_the_task_and_the_meaning_of_actions(monkeypatch: pyte
         return train_command.suited()
 
     assert of_the_command() == TrainSettings.suited() == TrainSettings()
-    assert TrainSettings().nouns == {"observation": "landing", "action": "landing", "action_repeat": "bounce"}
+    assert TrainSettings().interface == {"observation": "landing", "action": "landing", "action_repeat": "bounce"}
     torques = TrainSettings.suited(task="spin")
     assert (torques.observation, torques.action, torques.action_repeat, torques.gamma) == ("landing", "torque", 4, 0.99)
     assert of_the_command("--task=spin") == torques

@@ -26,7 +26,7 @@ from agents.policies.registry import find_policy
 from agents.policies.scripted import PolicyWithEnv
 from agents.runners import Results, Runner, Trials, Work, in_turn, on_cores
 from agents.runs import FolderInUseError, locked
-from agents.settings import NOUNS, EnvSettings
+from agents.settings import INTERFACE, EnvSettings
 from agents.sweep import (
     LOG,
     RUNS,
@@ -179,7 +179,7 @@ def level(observations):
 
 SMALL = asdict(replace(TINY, total_steps=512, eval_steps=256, checkpoint_steps=256))
 
-FIXED = {*asdict(EnvSettings()), *NOUNS, "seed", "torch_threads"}
+FIXED = {*asdict(EnvSettings()), *INTERFACE, "seed", "torch_threads"}
 
 SEEN = {"fidelity": "coarse", "observation": "mine.py:angle", "action_repeat": 5}
 
@@ -221,9 +221,9 @@ def test_a_model_plays_in_the_environment_of_its_row(tmp_path: Path) -> None:
 
 
 def test_a_training_that_was_cut_short_starts_over_to_the_same_row(tmp_path: Path) -> None:
-    nouns = json.dumps({"observation": "landing", "action": "discrete", "action_repeat": 10})
+    interface = json.dumps({"observation": "landing", "action": "discrete", "action_repeat": 10})
     varied = VARIED | {"total_steps": [768], "learning_rate": [1e-3, 5e-4]}
-    grid = ["--train", json.dumps(varied), "--setting", nouns, "--episodes", "2"]
+    grid = ["--train", json.dumps(varied), "--setting", interface, "--episodes", "2"]
     script("sweep", *grid, "--folder", "s", "--no-progress", cwd=tmp_path)
     table, rows = (tmp_path / "s" / TABLE).read_bytes(), rows_of(tmp_path / "s")
     assert [row["learning_rate"] for row in rows] == ["0.001", "0.0005"]

@@ -64,9 +64,8 @@ def test_single_environments_can_be_read_and_set() -> None:
     env.reset()
     assert env.get_attr("np_random_seed") == [0, 1, 2]
     assert_same(env.get_attr("observation"), list(env.vector_env.observations))
-    assert env.env_method("get_wrapper_attr", "time", indices=1) == [0.0]
     env.set_attr("label", "mine", indices=[0])
-    assert env.env_method("has_wrapper_attr", "label") == [True, False, False]
+    assert [hasattr(view, "label") for view in env.get_attr("unwrapped")] == [True, False, False]
     assert all(isinstance(view, EnvView) for view in env.get_attr("unwrapped"))
     assert env.env_is_wrapped(Monitor, indices=[0]) == env.env_is_wrapped(TimeLimit, indices=1) == [True]
     assert env.env_is_wrapped(RecordEpisodeStatistics) == [False] * 3

@@ -61,7 +61,7 @@ def made(kind: str, steps: int = 10) -> Any:
 def shown(env: Any) -> list[Any]:
     """All that a user can read, and the generators."""
     if isinstance(env, JackInBoxEnv):
-        torque, picture, generator = env._parts[0].torque, env.render(), env.np_random.bit_generator.state
+        torque, picture, generator = env._model.simulator.torque, env.render(), env.np_random.bit_generator.state
         assert picture is not None
         return [
             env.state.tobytes(),

@@ -94,7 +94,7 @@ def test_all_threads_may_go_on_after_an_interruption_and_copies_too(kind: Any) -
         step()
     torque.raises = False
     assert states(made) == before
-    note: ThreadNote = (made._parts[0] if isinstance(made, JackInBoxEnv) else made)._inside
+    note: ThreadNote = (made._model.simulator if isinstance(made, JackInBoxEnv) else made)._inside
     note[0] = get_ident()  # as if the interruption had cut the leaving too
     assert copy.copy(note) == copy.deepcopy(note) == pickle.loads(pickle.dumps(note)) == {}
     step()

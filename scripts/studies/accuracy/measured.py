@@ -100,7 +100,7 @@ def settings(quick: bool) -> list[Setting]:
 
 
 def contenders(quick: bool) -> list[Setting]:
-    """Those that play the reference's cases; when quick without other packages."""
+    """The settings that play the reference's cases; when quick without other packages."""
     names = [of_fidelity(name) for name in FIDELITIES] + [THRESHOLD]
     finest = [named(name, 64) for name in ("box2d", "mujoco")] * (not quick)
     solver = baselines.baseline("solve_ivp")

@@ -45,7 +45,7 @@ _LATE = 1e-8  # first impacts [s]: later of all settings with fixed steps, earli
 
 
 def points(results: Results, quantity: str) -> dict[str, dict[str, list[Any]]]:
-    """By family, columns of settings, their costs and median and worst of a quantity, in the order of the sweep."""
+    """Settings, their costs, and median and worst of a quantity, by family, in the order of the sweep."""
     lines: dict[str, dict[str, list[Any]]] = {}
     for name in results.settings:
         cost, row = results.some(name, "cost", quantity)

@@ -40,7 +40,7 @@ class Baseline(Simulator):
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         self._played: tuple[StepResult, float, float | None] | None = None  # before the last step; h; torque
         self._under_way: list[tuple[Impact, bool]] = []  # impacts not reported yet, and whether each continues
-        self._prepare()
+        self._build_unpickled()
 
     def _as_stored(self, state: Array) -> list[float]:
         return [float(number) for number in state]
@@ -99,7 +99,7 @@ class Baseline(Simulator):
         return torque if torque is not None else 0.5 * sum((self.scene.drive or Drive()).torque_means(time, h))
 
     def reset(self, state: object, time: float = 0.0) -> None:
-        """As :meth:`Simulator.reset`; an impact under way is forgotten."""
+        """Set state and time as :meth:`Simulator.reset` does; an impact under way is forgotten."""
         super().reset(state, time)  # type: ignore[arg-type]
         self._under_way = []
 

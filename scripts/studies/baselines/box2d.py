@@ -57,7 +57,7 @@ class _Listener(Box2D.b2ContactListener):  # type: ignore[misc]
 class Model(Engine):
     """Box2D, see the module's docstring."""
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         scene = self.scene
         self._listener = _Listener()
         world = Box2D.b2World(gravity=(0.0, -scene.gravity), doSleep=False, contactListener=self._listener)

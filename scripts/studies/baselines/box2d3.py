@@ -29,7 +29,7 @@ class Model(Engine):
         self._settings, self._inner = settings, settings["inner"]
         super().__init__(scene, substeps // self._inner)
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         scene, half, of = self.scene, self.scene.box_half_width, self._settings
         radius, back = of["radius"] * half, (1.5 + of["radius"]) * half
         pyb2d3.set_length_units_per_meter(of["units"])  # of the whole process

@@ -78,7 +78,7 @@ def model_xml(scene: Scene) -> str:
 class Model(Engine):
     """MuJoCo, see the module's docstring."""
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         if self.scene.restitution != 1.0:
             raise ValueError(f"mujoco is tuned for elastic impacts only, got restitution {self.scene.restitution:g}")
         self._model = mujoco.MjModel.from_xml_string(model_xml(self.scene))

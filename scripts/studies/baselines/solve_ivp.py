@@ -53,7 +53,7 @@ class Model(Baseline):
         super().__init__(scene, 1)
         self._tolerance = tolerance
 
-    def _prepare(self) -> None:
+    def _build_unpickled(self) -> None:
         self._events = [event(self.scene, *divmod(number, 4)) for number in range(16)]
 
     def _simulate(

@@ -143,7 +143,7 @@ def verdict(difference: tuple[float, float, float], margin: float, count: int) -
 
 
 def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
-    """Of each task and fidelity what its trainings earn, and the verdict against exact."""
+    """The returns of the trainings for each task and fidelity, and the verdict against exact."""
     means: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for row in record["fidelities"]:
         means.setdefault((row["task"], row["fidelity"]), []).append(row)

@@ -23,7 +23,7 @@ from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PLAIN, PolicyWithEnv, StatelessPolicy
 from agents.runs import RUN, TIME, machine, read_settings, versions
-from agents.settings import NOUNS, EnvSettings, TrainSettings
+from agents.settings import INTERFACE, EnvSettings, TrainSettings
 from agents.training.best import read_evaluations
 from agents.training.checkpoints import checkpoint_path, steps_of_checkpoints
 from agents.training.models import derived_seed
@@ -63,13 +63,13 @@ def seconds() -> float:
 
 
 def playing(trained: Any) -> PolicyWithEnv:
-    """What a training has returned or yielded, as a policy with the keywords of its environment.
+    """The policy that a training has returned or yielded, with the keywords of its environment.
 
     Raises:
         TypeError, ValueError: it is no model, or has other keywords.
     """
     policy, keywords = trained if isinstance(trained, tuple) else (trained, {})
-    check.known_keys("train's keywords", keywords, NOUNS)
+    check.known_keys("train's keywords", keywords, INTERFACE)
     if not hasattr(policy, "predict"):
         if not callable(policy):
             raise TypeError(f"train must return a model with predict or a function, got {check.shown(policy)}")

@@ -107,7 +107,7 @@ def fitted_alone(seconds: float) -> dict[str, float]:
 
 
 def printed() -> str:
-    """What the command prints of the page's file, but for its progress."""
+    """The output of the command for the page's file, but for its progress."""
     write_camera_file(ROOT / FILE)
     command = [sys.executable, "-m", "jackbox_env", "fit", FILE.as_posix(), *OPTIONS]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)

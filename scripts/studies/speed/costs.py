@@ -1,4 +1,4 @@
-"""What each modelled thing costs on top of a plain control step: the part ``costs`` of docs/speed.md.
+"""The cost of each modelled thing on top of a plain control step: the part ``costs`` of docs/speed.md.
 
 The cost of a thing must not be mixed up with its effect on the motion: without gravity the jack hardly strikes a wall.
 So all variants step the same states, from episodes of the default scene, which are set before each step. The clock is
