@@ -108,10 +108,9 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     if not len(long):
         return None
     middles[long[0]] = first[long[0]]
-    hop = max(_CLOSE, least / recording.dt)
-    pairs = [*pairwise(long.tolist())]
-    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairs}
-    flown = [spans[before] for before, after in pairs if first[after] - last[before] <= hop]
+    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairwise(long.tolist())}
+    near = first[long[1:]] - last[long[:-1]] <= max(_CLOSE, least / recording.dt)
+    flown = [span for span, close in zip(spans.values(), near, strict=True) if close]
     return Flights(first, last, lasting, lines, scatter, spans, flown)
 
 

@@ -14,16 +14,13 @@ from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
 from jackbox_env.fits.observed import state_at
 from jackbox_env.fits.search import MOST_SKIPPED, Search, unlink
 from jackbox_env.fits.shooting import Window, end_state, next_window
-from jackbox_env.model.states import RATES, THETA_JACK, Array
+from jackbox_env.model.states import RATES, Array
 
 _SHARES = 1.0, 0.5, 0.25  # of a window that are tried until one is explained
 _LEAST = 4  # steps of such a share
 _SOON = 5  # rows
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
-# [rad] of a jack whose angle was not observed; it repeats every quarter turn
-_TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
 _SURE = 0.25  # relative standard deviation of a guess that replaces the start, at most
-_FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 
 
 def go_on(search: Search) -> None:
@@ -87,7 +84,7 @@ def cut_all(search: Search) -> None:
     cut = {window.recording for window in search.windows}
     for number in range(len(search.recordings)):
         if number not in cut:
-            _cut_from_guesses(search, number)
+            _cut(search, number, state_at(search.recordings[number]))
     search.link()
 
 
@@ -117,26 +114,10 @@ def _cut_between(search: Search, number: int, guess: Guess) -> None:
     search.link()
 
 
-def _cut_from_guesses(search: Search, number: int) -> None:
-    """Cut a recording from several guesses of its first state, until one gets to its end; keep the furthest."""
-    first, furthest, (numbers, windows) = state_at(search.recordings[number]), -1, (search.numbers, search.windows)
-    seen = windows or np.isfinite(search.recordings[number].states[0, THETA_JACK])
-    for angle in (0.0,) if seen else _TRIAL_ANGLES:
-        search.numbers, search.windows, search.resting_steps[number] = numbers, [*windows], 0
-        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
-        covered = sum(window.last - window.first for window in search.windows)
-        if covered > furthest:
-            furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
-        if complete:
-            break
-    search.numbers, search.windows, search.resting_steps[number] = best
-
-
-def _cut(search: Search, number: int, state: Array) -> bool:
-    """Cut a recording into windows, each from the end of the one before it; return whether its end was reached."""
+def _cut(search: Search, number: int, state: Array) -> None:
+    """Cut a recording into windows, each from the end of the one before it, until too much is not explained."""
     recording, parameters = search.recordings[number], search.parameters
     first, end, skipped, steps = 0, state, 0, len(recording.states) - 1
-    search.progress.reset()
     while first < steps:
         window = next_window(recording, number, first, end, parameters, search.numbers)
         if window is None:  # at rest
@@ -148,10 +129,8 @@ def _cut(search: Search, number: int, state: Array) -> bool:
         else:  # the model's state is no guess, but of what is not observed soon
             skipped += window.last - first
             if skipped > MOST_SKIPPED * steps:
-                return False
+                return
             end, observed = end_state(recording, window, parameters, search.numbers), recording.states[window.last :]
             near = np.flatnonzero(np.isfinite(observed[:_SOON]).any(axis=0)) % RATES
             end = np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)
-        search.progress.update(window.last - first)
         first = window.last
-    return skipped <= _FEW_SKIPPED * steps
