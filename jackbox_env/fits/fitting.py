@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.fits.least_squares import Chain
 from jackbox_env.fits.observed import Recording, known_noise, looks_smoothed
 from jackbox_env.fits.outcome import outcome_of
 from jackbox_env.fits.result import Fit
@@ -97,6 +96,5 @@ def _fitted(search: Search) -> Fit:
         if search.without_misfits(slack, len(search.windows) - search.fewest):
             ended = search.settle(slack)
         shooting = Shooting(search.recordings, search.parameters, search.windows)
-        chain = Chain(search.rows(shooting, slack), len(search.windows))
-        search.estimate_noise(chain.rows)
-    return outcome_of(search, chain, ended)
+        search.estimate_noise(search.rows(shooting, slack))
+    return outcome_of(search, ended)

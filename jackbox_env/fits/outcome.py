@@ -49,28 +49,35 @@ _MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 _PLACE = {X_JACK, Y_JACK, VX_JACK, VY_JACK}
 _FEW = 20  # windows
 _SLIGHT = 1e-6  # size of a fault, of which derivatives are differences
+_USUAL = 2.0  # the same of the furthest if all is right; what is further widens the intervals
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 
 
-def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
-    """The result of a search with its last rows; whether it ended there."""
-    numbers, parameters, rows = search.numbers.copy(), search.parameters, chain.rows
-    covariance, unidentified = identified(chain)
+def outcome_of(search: Search, ended: bool) -> Fit:
+    """The result of a search that has ended or not."""
+    numbers, parameters, count = search.numbers.copy(), search.parameters, len(search.windows)
+    rows = search.rows(Shooting(search.recordings, parameters, search.windows), LINK_SLACKS[-1])
+    covariance, unidentified = identified(Chain(rows, count))
+    name, away = _contradicted(search, rows)
     estimated = (rows.column >= 0) & ~np.isfinite(search.known_noise[rows.column])
     freedom = search.free_share(rows) * estimated.sum() if estimated.any() else 1e9
-    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance))
+    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance)) * max(1.0, away / _USUAL)
     half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
     least = np.where(parameters.logarithmic, -np.inf, 0.0)
     most = np.where(parameters.logarithmic, np.inf, parameters.high)
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
     states, covered = search.motions()
     left_out = sum(len(one.states) - 1 for one in search.recordings) - covered
-    residuals = _held_out_residuals(search)
     unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
     if not any(pushed(one, parameters.start) for one in search.recordings):
         unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
-    deviations = autocorrelations(rows)
-    problems = [*_problems(search, ended, bool(np.isfinite(half_widths).any()), rows, deviations, residuals)]
+    problems = ["the recordings identify none of the fields"] * (not np.isfinite(half_widths).any())
+    problems += ["the search did not end"] * (not ended)
+    if away > _MOST_CONTRADICTED:
+        wrong = f"{name}, or something else that is not fitted, is wrong"
+        problems.append(f"{wrong}: another value would fit better by {away:.1f} standard deviations")
+    residuals = _held_out_residuals(search)
+    problems += _problems(search, rows, residuals)
     if problems and looks_smoothed(search.recordings):
         problems.insert(0, "the track looks smoothed: fit what was measured")
     return Fit(
@@ -87,19 +94,11 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
     )
 
 
-def _problems(
-    search: Search, ended: bool, known: bool, rows: Rows, deviations: Array, held_out: Array
-) -> Iterator[str]:
-    """Why the intervals are not to be trusted, in sentences."""
-    if not known:
-        yield "the recordings identify none of the fields"
+def _problems(search: Search, rows: Rows, held_out: Array) -> Iterator[str]:
+    """What in the last rows is a reason not to trust the intervals, in sentences."""
     if {*np.unique(rows.column[rows.column >= 0])} <= _PLACE:
         yield "nothing but the jack's place was observed, with which other motions may agree as well"
-    if not ended:
-        yield "the search did not end"
-    shooting = Shooting(search.recordings, search.parameters, search.windows)
-    present = search.rows(shooting, LINK_SLACKS[-1])  # for the noise as it was estimated last
-    gaps = LINK_SLACKS[-1] * abs(present.residuals[present.column == LINK])
+    gaps = LINK_SLACKS[-1] * abs(rows.residuals[rows.column == LINK])
     if (gaps > _WIDEST_JUMP).any():
         yield f"links between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
     misfits, unheard = int(misfitting(rows, len(search.windows)).sum()), int((rows.column == UNHEARD).sum())
@@ -108,13 +107,9 @@ def _problems(
     if unheard:
         yield f"the fitted motion lacks {unheard} of the impacts that were heard"
     names = *STATE_NAMES, IMPACT, "all numbers together"
-    correlated = [name for name, value in zip(names, deviations, strict=True) if value > _MOST_CORRELATED]
+    correlated = [name for name, value in zip(names, autocorrelations(rows), strict=True) if value > _MOST_CORRELATED]
     if correlated:
         yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
-    name, away = _contradicted(search, present)
-    if away > _MOST_CONTRADICTED:
-        wrong = f"{name}, or something else that is not fitted, is wrong"
-        yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
     for bad, one in zip(search.bad_rows, search.recordings, strict=True):
         if len(bad) > _MOST_BAD * len(one.states):
             yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"

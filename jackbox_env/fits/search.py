@@ -61,7 +61,6 @@ class Search:
         self.left_out: list[Window] = []  # that the model does not explain
         self.fewest = 1  # windows that stay
         self.numbers = parameters.of(parameters.start)
-        self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
 
     def settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
@@ -144,7 +143,7 @@ class Search:
         explained = self.explained([window])
         if not explained:
             mean, width = self.prior([window])
-            width[: len(numbers)], width[len(numbers) :] = self.first_width, _PRIOR_FLIGHT_WIDTH
+            width[: len(numbers)], width[len(numbers) :] = np.inf, _PRIOR_FLIGHT_WIDTH
             self.solve(Shooting(self.recordings, self.parameters, [window], (mean, width)), LINK_SLACKS[0], most=20)
             explained = self.explained([window])
         self.numbers = numbers

@@ -126,6 +126,15 @@ def test_a_window_that_cannot_be_followed_ends_a_search_and_is_named() -> None:
     assert shooting.not_followed == [1]
 
 
+def test_what_is_not_fitted_and_would_fit_better_widens_the_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths = list[float]()
+    for away in (1.0, 3.0):
+        monkeypatch.setattr(outcome, "_contradicted", lambda *_, away=away: ("gravity", away))
+        low, high = fit(filmed(LAB, 1.0), FIELDS, LAB).intervals["restitution"]
+        widths.append(high - low)
+    assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-6)
+
+
 def test_rest_is_no_flight() -> None:
     lossy, noise = LAB.changed(restitution=0.6), np.tile([3e-4, 3e-4, 4e-3], 2)
     flights = flights_of(filmed(lossy, seconds=8.0), lossy, noise)  # rests after a second
