@@ -224,7 +224,7 @@ def main() -> None:
     from jackbox_env.fits.fitting import fit  # takes a while
 
     began = time.perf_counter()
-    result = fit(recordings, arguments.fields, start, noise=noise, progress=True)
+    result = fit(recordings, arguments.fields, start, noise=noise)
     print(f"... took {time.perf_counter() - began:.1f} s", file=sys.stderr)
     print(_printed(table_of(result, start)), *sentences(result, recordings), sep="\n")
     jack_seen = [one for one in recordings if np.isfinite(one.states[:, X_JACK:RATES]).any()]

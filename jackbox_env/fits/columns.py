@@ -131,15 +131,12 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     if len(times) < 2:
         where = f"{table.source}row {table.lines[-1] if table.lines else 1}"
         raise ValueError(f"{where}: there must be two rows of numbers at least")
-    far, steps = abs(times) > _LATEST, np.diff(times)
-    if far.any():
-        row = int(far.argmax())
-        raise ValueError(f"{table.at(row)}, column time: must be within +-{_LATEST:g} s, got {times[row]:g} s")
-    if (steps <= 0.0).any():
-        row = int((steps <= 0.0).argmax())
-        raise ValueError(
-            f"{table.at(row + 1)}, column time: must increase, got {times[row + 1]:.10g} s after {times[row]:.10g} s"
-        )
+    steps = np.diff(times)
+    wrong = (steps <= 0.0) | (np.maximum(abs(times[1:]), abs(times[:-1])) > _LATEST)
+    if wrong.any():
+        row = int(wrong.argmax())
+        steps_of = f"{times[row + 1]:.10g} s after {times[row]:.10g} s"
+        raise ValueError(f"{table.at(row + 1)}, column time: must increase up to {_LATEST:g} s, got {steps_of}")
     spacing = 4.0 * float(np.spacing(abs(times).max()))
     rounding = rounding_of(times)
     gaps = _gaps(table, steps, rounding)

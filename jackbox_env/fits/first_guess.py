@@ -7,7 +7,6 @@ in time. Pieces of two rows are merged while one line fits both within the noise
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -24,9 +23,7 @@ from jackbox_env.model.states import (
     THETA_BOX,
     THETA_JACK,
     VX_BOX,
-    VX_JACK,
     VY_BOX,
-    VY_JACK,
     X_BOX,
     X_JACK,
     Y_BOX,
@@ -35,13 +32,12 @@ from jackbox_env.model.states import (
 )
 
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
-_JACK = slice(X_JACK, RATES)
+_JACK, _PLACE = slice(X_JACK, RATES), slice(X_JACK, THETA_JACK)
 _LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _ELSEWHERE = 0.05  # half widths
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
-_FEW = 2  # impacts, fewer of which give no ratio
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
 _STRAIGHT = 0.98  # cosine of the angle between a wall's normal and the change of velocity, at least
 
@@ -108,10 +104,9 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     if not len(long):
         return None
     middles[long[0]] = first[long[0]]
-    hop = max(_CLOSE, least / recording.dt)
-    pairs = [*pairwise(long.tolist())]
-    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairs}
-    flown = [spans[before] for before, after in pairs if first[after] - last[before] <= hop]
+    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairwise(long.tolist())}
+    near = first[long[1:]] - last[long[:-1]] <= max(_CLOSE, least / recording.dt)
+    flown = [span for span, close in zip(spans.values(), near, strict=True) if close]
     return Flights(first, last, lasting, lines, scatter, spans, flown)
 
 
@@ -192,11 +187,11 @@ def _squares(sums: Array) -> Array:
 
 
 class Impacts(NamedTuple):
-    """Impacts between neighbouring flights: when, of what, and the motion before and after."""
+    """Impacts between neighbouring flights: when, where and of what."""
 
     times: Array  # since the recording's begin [s], (n,)
-    straight: Array  # the jack's place with the fall added, and its rates before and after, (n, 3, 2)
-    states: Array  # before and after, (n, 2, 12); the box's centre NaN if unobserved
+    places: Array  # of the jack, with the fall added, (n, 2)
+    states: Array  # before, (n, 12); the box's centre NaN if unobserved
     walls: Indices
     feet: Indices
 
@@ -209,19 +204,17 @@ def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Arra
     change = (after - before)[:, _JACK] / noise[_JACK, None]
     times = -(change[:, :, 0] * change[:, :, 1]).sum(axis=1) / np.maximum((change[:, :, 1] ** 2).sum(axis=1), 1e-300)
     late = np.maximum((flights.last[near] - 1) * dt - times, times - (flights.first[near + 1] + 1) * dt)
-    places = before[:, :, 0] + before[:, :, 1] * times[:, None]
-    states = np.stack([state_on(recording, scene, lines, times) for lines in (before, after)], axis=1)
-    kick = states[:, 1, VX_JACK : VY_JACK + 1] - states[:, 0, VX_JACK : VY_JACK + 1]
+    places = before[:, _PLACE, 0] + before[:, _PLACE, 1] * times[:, None]
+    states, kick = state_on(recording, scene, before, times), (after - before)[:, _PLACE, 1]
     walls, feet = np.divmod(np.arange(16), 4)
-    centred = np.repeat(states[:, 0], 16, axis=0)
+    centred = np.repeat(states, 16, axis=0)
     centred[:, X_BOX : Y_BOX + 1] = centred[:, X_JACK : Y_JACK + 1]
     gaps, gradients = contacts_of(scene, centred, np.tile(walls, len(near)), np.tile(feet, len(near)))
     along = np.einsum("nwi,ni->nw", gradients.reshape(-1, 16, 6)[:, :, X_JACK : Y_JACK + 1], kick)
     struck = (along / np.linalg.norm(kick, axis=1)[:, None]).round(6) * 1e6 - gaps.reshape(-1, 16) / scene.jack_arm
     contact = struck.argmax(axis=1)  # the wall by its normal, then the foot that is deepest
     usable = (late < 0.0) & (along.max(axis=1) > _STRAIGHT * np.linalg.norm(kick, axis=1))
-    straight = np.stack([places, before[:, :, 1], after[:, :, 1]], axis=1)[:, :, X_JACK : Y_JACK + 1]
-    return Impacts(*(part[usable] for part in (times, straight, states, walls[contact], feet[contact])))
+    return Impacts(*(part[usable] for part in (times, places, states, walls[contact], feet[contact])))
 
 
 def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Array:
@@ -233,32 +226,25 @@ def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Ar
     return states
 
 
-class Guess(NamedTuple):
-    """Fields and the box's centre, from the impacts of a recording."""
+class Centre(NamedTuple):
+    """The motion of the centre of box and jack together, over the box's mass, and with the fall added."""
 
-    values: dict[str, tuple[float, float]]  # of fields, and their relative standard deviations
-    centre: Array  # at the recording's begin, of the box and the jack together, over the box's mass [m], (2,)
+    place: Array  # at the recording's begin [m], (2,)
     drift: Array  # its rate, (2,)
     ratio: float  # jack_mass / box_mass
 
-    def with_centre(self, state: Array, straight: Array, rates: Array, times: Any) -> Array:
-        """States with the box's centre, from the jack's place with the fall added."""
-        state[..., X_BOX : Y_BOX + 1] = self.centre + np.multiply.outer(times, self.drift) - self.ratio * straight
-        state[..., VX_BOX : VY_BOX + 1] = self.drift - self.ratio * rates
-        return state
 
-
-def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array, fields: Sequence[str]) -> Guess:
-    """A guess of restitution and a mass by regressions over the impacts.
+def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Centre:
+    """The motion of the centre by a regression over the impacts.
 
     Nothing but the jack pushes the box's centre, so that of both masses moves straight, with the fall added. At an
     impact a foot is at a wall. Both are linear in that centre's motion and the ratio of the masses.
     """
     impacts = impacts_of(recording, scene, flights, noise)
-    origin = impacts.states[:, 0].copy()
+    origin = impacts.states.copy()
     origin[:, X_BOX : Y_BOX + 1] = 0.0
     gaps, gradients = contacts_of(scene, origin, impacts.walls, impacts.feet)
-    normals, positions = gradients[:, :2], impacts.straight[:, 0]
+    normals, positions = gradients[:, :2], impacts.places
     equations = normals, normals * impacts.times[:, None], -(normals * positions).sum(axis=1)[:, None]
     scale = float(np.hypot(noise[X_JACK], scene.jack_arm * noise[THETA_JACK]))
     rows, known = [np.concatenate(equations, axis=1) / scale], [-gaps / scale]
@@ -277,52 +263,16 @@ def guess_of(recording: Recording, scene: Scene, flights: Flights, noise: Array,
     widths = np.array([9.0 * size] * 2 + [9.0 * scene.speed_scale] * 2 + [2.0 * ratio])
     rows.append(np.diag(1.0 / widths))
     known.append(prior / widths)
-    solved, deviations = _solved(np.concatenate(rows), np.concatenate(known))
-    ratio = float(max(solved[4], 1e-9))
-    guess = Guess({}, solved[:2], solved[2:4], ratio)
-    states = guess.with_centre(
-        impacts.states, positions[:, None], impacts.straight[:, 1:], np.column_stack([impacts.times] * 2)
-    )
-    gradients = contacts_of(scene, states[:, 0], impacts.walls, impacts.feet)[1]
-    before, after = np.einsum("ni,nki->kn", gradients, states[:, :, RATES:])
-    guess.values["restitution"] = _usual_ratio(-after, before)
-    name, mass = (
-        ("jack_mass", ratio * scene.box_mass) if "jack_mass" in fields else ("box_mass", scene.jack_mass / ratio)
-    )
-    guess.values[name] = mass, float(deviations[4]) / ratio
-    return guess
+    solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0]
+    return Centre(solved[:2], solved[2:4], float(max(solved[4], 1e-9)))
 
 
-def starts_of(recording: Recording, scene: Scene, flights: Flights, guess: Guess) -> Array:
-    """States on the flights' lines where the spans begin, (n, 12)."""
-    times, lines = (
-        np.array([first for first, _ in flights.spans.values()]) * recording.dt,
-        flights.lines[[*flights.spans]],
-    )
-    straight = lines[:, X_JACK : Y_JACK + 1]
-    positions = straight[:, :, 0] + straight[:, :, 1] * times[:, None]
+def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Centre) -> Array:
+    """States on the flights' lines where the spans begin, and in the box that the centre leaves, (n, 12)."""
+    times = np.array([first for first, _ in flights.spans.values()]) * recording.dt
+    lines = flights.lines[[*flights.spans]]
+    straight, rates = lines[:, _PLACE, 0] + lines[:, _PLACE, 1] * times[:, None], lines[:, _PLACE, 1]
     states = state_on(recording, scene, lines, times)
-    return guess.with_centre(states, positions, straight[:, :, 1], times)
-
-
-def _solved(rows: Array, known: Array) -> tuple[Array, Array]:
-    """Solution of rows @ x = known, noise about 1, and its standard deviations."""
-    sizes = np.linalg.norm(rows, axis=0)
-    scaled = rows / sizes
-    solution = np.linalg.lstsq(scaled, known, rcond=None)[0]
-    noise = float(((scaled @ solution - known) ** 2).sum()) / max(1, len(known) - len(sizes))
-    covariance = np.linalg.pinv(scaled.T @ scaled) * max(1.0, noise)
-    return solution / sizes, np.sqrt(np.diag(covariance)) / sizes
-
-
-def _usual_ratio(values: Array, by: Array) -> tuple[float, float]:
-    """Median of values / by, weighted by ``by``, and its relative standard deviation; (1, inf) without any."""
-    usable = np.isfinite(values) & (abs(by) > 0.0)
-    if usable.sum() < _FEW:
-        return 1.0, np.inf
-    ratios = values[usable] / by[usable]
-    order = np.argsort(ratios)
-    sums = np.cumsum(abs(by[usable])[order])
-    ratio = float(ratios[order][np.searchsorted(sums, 0.5 * sums[-1])])
-    spread = np.quantile(abs(ratios - ratio), min(1.0, 0.6 + 1.0 / len(ratios)))
-    return (ratio, float(1.5 * spread / ratio / np.sqrt(len(ratios)))) if ratio > 0.0 else (1.0, np.inf)
+    states[:, X_BOX : Y_BOX + 1] = centre.place + np.multiply.outer(times, centre.drift) - centre.ratio * straight
+    states[:, VX_BOX : VY_BOX + 1] = centre.drift - centre.ratio * rates
+    return states

@@ -13,10 +13,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jackbox_env.exact.tangents import FIELDS
-from jackbox_env.fits.least_squares import Chain
 from jackbox_env.fits.observed import Recording, known_noise, looks_smoothed
 from jackbox_env.fits.outcome import outcome_of
 from jackbox_env.fits.result import Fit
@@ -26,16 +24,13 @@ from jackbox_env.fits.windows import cut_all, go_on
 from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
-with check.extra("jackbox_env.fit", "tqdm", "train"):
-    from tqdm import tqdm
-
 _LEAST_SEEN = 10  # rows and impacts; fewer determine no field and no noise
 _MAY_DROP, _MOST_DROPPED = 2, 0.2  # windows, or their share, that may turn out not to fit as links are tightened
 
 
 def fit(
     recordings: Recording | Sequence[Recording], fields: Sequence[str], start: Scene | Mapping[str, Any] | None = None,
-    *, noise: float | ArrayLike | Mapping[str, float] | None = None, progress: bool = False,
+    *, noise: float | Mapping[str, float] | None = None,
 ) -> Fit:  # fmt: skip
     """Fit fields of a scene to recordings, by multiple shooting with exact derivatives (``fits/shooting.py``).
 
@@ -53,10 +48,9 @@ def fit(
         fields: names of the numbers to fit: any of gravity, box_mass, box_inertia, jack_mass, jack_inertia, jack_arm,
             box_half_width, restitution. An inertia that the scene derives follows its mass and length.
         start: where the search begins. Its other fields and its drive stay.
-        noise: standard deviations of what was observed: one number, 12 in the order of a state, or by name ("x_jack",
-            "impacts" [s]). None, and names left out: estimated from the residuals. An estimate needs some dozens of
-            observations of a kind, so give the noise of a handful of impacts' times.
-        progress: whether to show a bar, which tqdm draws on a terminal.
+        noise: standard deviations of what was observed: one number, or by name ("x_jack", "impacts" [s]). None, and
+            names left out: estimated from the residuals. An estimate needs some dozens of observations of a kind, so
+            give the noise of a handful of impacts' times.
 
     Raises:
         TypeError, ValueError: unusable values; recordings that no motion of the scene at the start can follow.
@@ -76,10 +70,7 @@ def fit(
     if seen < _LEAST_SEEN:
         least = f"at least {_LEAST_SEEN} rows in which something was observed, or impacts that were heard"
         raise ValueError(f"recordings must have {least}, got {seen}")
-    total = sum(len(one.states) - 1 for one in several)
-    disable = None if check.flag("progress", progress) else True  # None: unless on a terminal
-    with tqdm(total=total, unit="step", desc="cutting", leave=False, disable=disable) as bar:
-        return _fitted(Search(list(several), parameters, known, bar))
+    return _fitted(Search(list(several), parameters, known))
 
 
 def _fitted(search: Search) -> Fit:
@@ -92,8 +83,6 @@ def _fitted(search: Search) -> Fit:
             "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
             f"{noise}{smooth}, or whether the jack moves"
         )
-    search.progress.reset(total=len(LINK_SLACKS) + 2)
-    search.progress.set_description("fitting")
     for slack in (LINK_SLACKS[0], LINK_SLACKS[1], LINK_SLACKS[1]):
         search.settle(slack)
         search.without_misfits(slack, len(search.windows))
@@ -107,7 +96,5 @@ def _fitted(search: Search) -> Fit:
         if search.without_misfits(slack, len(search.windows) - search.fewest):
             ended = search.settle(slack)
         shooting = Shooting(search.recordings, search.parameters, search.windows)
-        chain = Chain(search.rows(shooting, slack), len(search.windows))
-        search.estimate_noise(chain)
-        search.progress.update()
-    return outcome_of(search, chain, ended)
+        search.estimate_noise(search.rows(shooting, slack))
+    return outcome_of(search, ended)

@@ -29,7 +29,6 @@ _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns,
 UNIDENTIFIABLE = 0.5
 _NEAR_THE_END = 0.3  # standard deviations that the fields may still move where a search ends
 _NEGLIGIBLE = 0.1  # decrease of a window's squares, in which its start moves by 0.3 of its standard deviation at most
-_COVARIANCE_DAMPING = 1e-10  # keeps the covariance of what nothing determines below what rounding destroys
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
 _BLOCKING = 0.2  # of the largest excess over prediction, more of which blocks, too
@@ -57,19 +56,11 @@ class Step(NamedTuple):
     fields: Array  # (F,)
     starts: Array  # (windows, 12)
     decrease: float  # of the sum of squares, predicted
-    change: Array  # of the residuals, predicted, (rows,)
 
     @property
     def unknowns(self) -> Array:
         """The step of all unknowns, fields first, shape (F + 12 windows,)."""
         return np.concatenate([self.fields, self.starts.ravel()])
-
-
-class _Eliminated(NamedTuple):
-    """Some unknowns as a function of others: ``by @ (others, 1) + root @ noise``, noise of variance 1."""
-
-    by: Array
-    root: Array
 
 
 class Chain:
@@ -92,62 +83,34 @@ class Chain:
 
     def step(self, damping: float) -> Step:
         """Minimise the squares of residuals and Jacobian times step, and ``damping`` times that of the scaled step."""
-        fields, starts, _ = self._eliminate(damping)
-        step = fields.by[:, 0]
-        every, start = np.empty((self.windows, WIDTH)), np.zeros(WIDTH)
-        for index, eliminated in enumerate(starts):
-            start = every[index] = eliminated.by @ np.concatenate([start, step, [1.0]])
-        change = self._times(step, every)
-        after = self.rows.residuals + change
-        return Step(step, every, float((self.rows.residuals**2).sum() - (after**2).sum()), change)
+        by_fields, starts, left = self._eliminate(damping)
+        step, every, start = by_fields[:, 0], np.empty((self.windows, WIDTH)), np.zeros(WIDTH)
+        for index, by in enumerate(starts):
+            start = every[index] = by @ np.concatenate([start, step, [1.0]])
+        return Step(step, every, float((self.rows.residuals**2).sum() - (left[:, -1] ** 2).sum()))
 
     def information(self) -> Array:
         """Triangle R of the fields' inverse covariance R^T R, which the starts are free for, (k, F)."""
-        return self._eliminate(0.0)[2][:, : self.rows.fields]
+        return self._eliminate(0.0, 0)[2][:, : self.rows.fields]
 
     def moves(self, fitted: int) -> Array:
         """The standard deviations by which each field after the first would move if it was fitted too, (k,).
 
         0 for a field whose standard deviation would be above :data:`UNIDENTIFIABLE`.
         """
-        rest = self._eliminate(0.0)[2]
-        others = _solve(rest, fitted)[1]
+        rest, others = self._eliminate(0.0, 0)[2], self._eliminate(0.0, fitted)[2]
         columns, lengths = others[:, :-1], np.linalg.norm(others[:, :-1], axis=0)
         least = np.maximum(1.0 / UNIDENTIFIABLE, 1e-6 * np.linalg.norm(rest[:, fitted:-1], axis=0))
         moves: Array = -(columns.T @ others[:, -1]) / np.maximum(lengths, least) * (lengths > least)
         return moves
 
-    def projections(self) -> Array:
-        """Covariances of the residuals' linear parts with the start of their window and the fields, (rows, 12 + F).
+    def _eliminate(self, damping: float, fitted: int | None = None) -> tuple[Array, list[Array], Array]:
+        """The first fields by the others; each start by the start before it and the fields; the rows that are left.
 
-        J C with C the covariance of all unknowns.
+        Functions of (others, 1). ``fitted``: how many fields are first; None: all.
         """
-        fields, starts, _ = self._eliminate(_COVARIANCE_DAMPING)
-        rows, of_fields = self.rows, fields.root @ fields.root.T
-        jacobian = np.delete(rows.jacobian, np.r_[WIDTH : 2 * WIDTH], axis=1)
-        covariance, result = np.zeros((WIDTH + rows.fields,) * 2), np.empty_like(jacobian)
-        covariance[WIDTH:, WIDTH:] = of_fields
-        ends = np.searchsorted(rows.window, np.arange(self.windows + 1))
-        for eliminated, first, last in zip(starts, ends, ends[1:], strict=False):
-            by = eliminated.by[:, :-1]
-            with_fields = by @ covariance[:, WIDTH:]
-            own = by @ covariance @ by.T + eliminated.root @ eliminated.root.T
-            covariance = np.block([[own, with_fields], [with_fields.T, of_fields]])
-            result[first:last] = jacobian[first:last] @ covariance
-        return result
-
-    def _times(self, fields: Array, starts: Array) -> Array:
-        """The Jacobian times a step."""
-        window, jacobian = self.rows.window, self.rows.jacobian
-        following = np.append(starts, np.zeros((1, WIDTH)), axis=0)[1:]
-        both = np.column_stack([starts, following])[window]
-        product: Array = np.einsum("ij,ij->i", jacobian[:, : 2 * WIDTH], both) + jacobian[:, 2 * WIDTH :] @ fields
-        return product
-
-    def _eliminate(self, damping: float) -> tuple[_Eliminated, list[_Eliminated], Array]:
-        """The fields; each start by the start before it and the fields; rows left for the fields."""
         count = self.rows.fields
-        carry, starts = np.zeros((0, WIDTH + count + 1)), list[_Eliminated]()
+        carry, starts = np.zeros((0, WIDTH + count + 1)), list[Array]()
         for index in reversed(range(self.windows)):
             before = self._blocks[index - 1] if index else np.zeros((0, 2 * WIDTH + count + 1))
             if index == self.windows - 1:
@@ -157,24 +120,24 @@ class Chain:
             stack[len(before) : -WIDTH, :WIDTH] = carry[:, :WIDTH]
             stack[len(before) : -WIDTH, 2 * WIDTH :] = carry[:, WIDTH:]
             stack[-WIDTH:, :WIDTH] = np.diag(np.sqrt(damping * self._starts_lengths[index]))
-            eliminated, carry = _solve(stack, WIDTH)
-            starts.append(eliminated)
-        rest = carry[:, WIDTH:]
+            by, carry = _solve(stack, WIDTH)
+            starts.append(by)
         damped = np.column_stack([np.diag(np.sqrt(damping * self._fields_lengths)), np.zeros(count)])
-        return _solve(np.concatenate([rest, damped]), count)[0], starts[::-1], rest
+        by, left = _solve(np.concatenate([carry[:, WIDTH:], damped]), count if fitted is None else fitted)
+        return by, starts[::-1], left
 
 
-def _solve(stack: Array, width: int) -> tuple[_Eliminated, Array]:
-    """Solve for the first unknowns, and return what is left for the others."""
+def _solve(stack: Array, width: int) -> tuple[Array, Array]:
+    """The first unknowns as functions of (the others, 1), and the rows that are left for the others."""
     if width == 0:
-        return _Eliminated(np.zeros((0, stack.shape[1])), np.zeros((0, 0))), stack
+        return np.zeros((0, stack.shape[1])), stack
     lengths = np.linalg.norm(stack[:, :width], axis=0)
     lengths[lengths == 0.0] = 1.0
     left, values, right = np.linalg.svd(stack[:, :width] / lengths)
     rank = int((values > _RANK * values.max(initial=0.0)).sum())
     rotated = left.T @ stack[:, width:]
-    root = (right[:rank].T / values[:rank]) / lengths[:, None]
-    return _Eliminated(-root @ rotated[:rank], root), _triangle(rotated[rank:])
+    by: Array = -((right[:rank].T / values[:rank]) / lengths[:, None]) @ rotated[:rank]
+    return by, _triangle(rotated[rank:])
 
 
 def _triangle(rows: Array) -> Array:
@@ -195,8 +158,8 @@ def minimise(
     A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
     that stalls has not ended: the linear model still predicts a decrease, which no step brings. It stalls where a
     window's motion jumps or has a kink, because two impacts change their order there, or because one leaves the window.
-    However short a step is, the window's squares are then more than predicted. It is returned as blocking; if
-    the search did not end in ``most`` steps, so is the one for which the last of them failed.
+    However short a step is, the window's squares grow then. It is returned as blocking; if the search did not end in
+    ``most`` steps, so is the one for which the last of them failed.
 
     Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978).
     A full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
@@ -245,8 +208,7 @@ def minimise(
             share *= _SHORTER
             last |= share < _BLOCKED
             if trial is not None:
-                more = trial.residuals**2 - (rows.residuals + share / _SHORTER * step.change) ** 2
-                excess = np.bincount(rows.window, more, windows)
+                excess = np.bincount(rows.window, trial.residuals**2 - rows.residuals**2, windows)
                 blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
             step, _ = step_from(rows, unknowns, _FIRST_DAMPING)

@@ -180,16 +180,10 @@ def state_at(recording: Recording, first: int = 0) -> Array:
 def known_noise(noise: Any) -> Array:
     """Standard deviations of the 12 numbers of a state and of impacts' times, shape (13,); NaN: to be estimated."""
     names, known = (*STATE_NAMES, IMPACT), np.full(13, np.nan)
-    if isinstance(noise, Mapping):
-        check.known_keys("noise", noise, names)
-        for name, value in noise.items():
-            known[names.index(name)] = check.real(f"noise[{name!r}]", value, at_least=_SMALLEST_NOISE)
-    elif noise is not None:
-        values = np.array(check.array("noise", noise, "be numbers"), dtype=np.float64)
-        if values.shape not in ((), (12,)) or not (np.isfinite(values).all() and (values >= _SMALLEST_NOISE).all()):
-            requirement = f"noise must be finite and at least {_SMALLEST_NOISE:g}, one number or 12 or by name"
-            raise ValueError(f"{requirement}, got {check.shown(noise)}")
-        known[: 13 if values.ndim == 0 else 12] = values
+    by_name = noise if isinstance(noise, Mapping) else {} if noise is None else dict.fromkeys(names, noise)
+    check.known_keys("noise", by_name, names)
+    for name, value in by_name.items():
+        known[names.index(name)] = check.real(f"noise of {name}", value, at_least=_SMALLEST_NOISE)
     return known
 
 

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.faults import FAULTS, spoilt
-from jackbox_env.fits.least_squares import UNHEARD, WIDTH, Chain, Rows
+from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Chain, Rows
 from jackbox_env.fits.observed import IMPACT, looks_smoothed, pushed
 from jackbox_env.fits.residuals import (
     autocorrelations,
     highest_mean_square,
     identified,
-    jumps,
-    leverage,
     misfitting,
     relative_masses,
     unidentified_sentence,
@@ -52,28 +49,35 @@ _MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
 _PLACE = {X_JACK, Y_JACK, VX_JACK, VY_JACK}
 _FEW = 20  # windows
 _SLIGHT = 1e-6  # size of a fault, of which derivatives are differences
+_USUAL = 2.0  # the same of the furthest if all is right; what is further widens the intervals
 _MOST_CONTRADICTED = 3.7  # standard deviations of a field that is not fitted, from where it would fit best
 
 
-def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
-    """The result of a search with its last rows; whether it ended there."""
-    numbers, parameters, rows = search.numbers.copy(), search.parameters, chain.rows
-    (covariance, unidentified), projections = identified(chain), chain.projections()
+def outcome_of(search: Search, ended: bool) -> Fit:
+    """The result of a search that has ended or not."""
+    numbers, parameters, count = search.numbers.copy(), search.parameters, len(search.windows)
+    rows = search.rows(Shooting(search.recordings, parameters, search.windows), LINK_SLACKS[-1])
+    covariance, unidentified = identified(Chain(rows, count))
+    name, away = _contradicted(search, rows)
     estimated = (rows.column >= 0) & ~np.isfinite(search.known_noise[rows.column])
-    freedom = float((1.0 - leverage(rows, projections))[estimated].sum()) if estimated.any() else 1e9
-    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance))
+    freedom = search.free_share(rows) * estimated.sum() if estimated.any() else 1e9
+    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance)) * max(1.0, away / _USUAL)
     half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
     least = np.where(parameters.logarithmic, -np.inf, 0.0)
     most = np.where(parameters.logarithmic, np.inf, parameters.high)
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
     states, covered = search.motions()
     left_out = sum(len(one.states) - 1 for one in search.recordings) - covered
-    residuals = _held_out_residuals(search)
     unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
     if not any(pushed(one, parameters.start) for one in search.recordings):
         unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
-    deviations = autocorrelations(rows, projections)
-    problems = [*_problems(search, ended, bool(np.isfinite(half_widths).any()), rows, deviations, residuals)]
+    problems = ["the recordings identify none of the fields"] * (not np.isfinite(half_widths).any())
+    problems += ["the search did not end"] * (not ended)
+    if away > _MOST_CONTRADICTED:
+        wrong = f"{name}, or something else that is not fitted, is wrong"
+        problems.append(f"{wrong}: another value would fit better by {away:.1f} standard deviations")
+    residuals = _held_out_residuals(search)
+    problems += _problems(search, rows, residuals)
     if problems and looks_smoothed(search.recordings):
         problems.insert(0, "the track looks smoothed: fit what was measured")
     return Fit(
@@ -86,51 +90,35 @@ def outcome_of(search: Search, chain: Chain, ended: bool) -> Fit:
         left_out,
         tuple(problems),
         tuple(_bad_row_sentences(search)),
-        sum(_not_followed(search)[1]),
+        sum(_not_followed(search)),
     )
 
 
-def _problems(
-    search: Search, ended: bool, known: bool, rows: Rows, deviations: Array, held_out: Array
-) -> Iterator[str]:
-    """Why the intervals are not to be trusted, in sentences."""
-    if not known:
-        yield "the recordings identify none of the fields"
+def _problems(search: Search, rows: Rows, held_out: Array) -> Iterator[str]:
+    """What in the last rows is a reason not to trust the intervals, in sentences."""
     if {*np.unique(rows.column[rows.column >= 0])} <= _PLACE:
         yield "nothing but the jack's place was observed, with which other motions may agree as well"
-    if not ended:
-        yield "the search did not end"
-    shooting = Shooting(search.recordings, search.parameters, search.windows)
-    present = search.rows(shooting, LINK_SLACKS[-1])  # for the noise as it was estimated last
-    gaps = jumps(present, len(search.windows), search.scaled_slack(LINK_SLACKS[-1]), search.scaled_slack(1.0))
+    gaps = LINK_SLACKS[-1] * abs(rows.residuals[rows.column == LINK])
     if (gaps > _WIDEST_JUMP).any():
-        open_links = f"{(gaps > _WIDEST_JUMP).sum()} of {sum(one.linked for one in search.windows)} links"
-        yield f"{open_links} between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
-    links, (joints, skipped) = sum(one.linked for one in search.windows), _not_followed(search)
-    if 2 * links < joints:
-        yield f"only {links} of {joints} windows go on where the one before ends: the motion was followed in pieces"
+        yield f"links between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
     misfits, unheard = int(misfitting(rows, len(search.windows)).sum()), int((rows.column == UNHEARD).sum())
     if misfits:
         yield f"{misfits} of {len(search.windows)} windows do not fit within the noise"
     if unheard:
         yield f"the fitted motion lacks {unheard} of the impacts that were heard"
     names = *STATE_NAMES, IMPACT, "all numbers together"
-    correlated = [name for name, value in zip(names, deviations, strict=True) if value > _MOST_CORRELATED]
+    correlated = [name for name, value in zip(names, autocorrelations(rows), strict=True) if value > _MOST_CORRELATED]
     if correlated:
         yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
-    name, away = _contradicted(search, present)
-    if away > _MOST_CONTRADICTED:
-        wrong = f"{name}, or something else that is not fitted, is wrong"
-        yield f"{wrong}: another value would fit better by {away:.1f} standard deviations"
     for bad, one in zip(search.bad_rows, search.recordings, strict=True):
         if len(bad) > _MOST_BAD * len(one.states):
             yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-    for number, (one, seconds) in enumerate(zip(search.recordings, skipped, strict=True)):
+    for number, (one, seconds) in enumerate(zip(search.recordings, _not_followed(search), strict=True)):
         covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
         if not covered:
             yield f"no part of recording {number} agrees with the scene"
         elif seconds > MOST_SKIPPED * covered:
-            where = f" of recording {number}" * (len(skipped) > 1)
+            where = f" of recording {number}" * (len(search.recordings) > 1)
             yield f"the jack moves in {seconds:.2g} s{where} that the scene does not explain"
     if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
         yield "windows that were held out do not fit within the noise"
@@ -178,22 +166,17 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
                 yield f"row {row}{recording}: {text}"
 
 
-def _not_followed(search: Search) -> tuple[int, list[float]]:
-    """The number of missing links between windows, and by recording the time in which the jack moves in none [s]."""
-    joints, seconds = 0, list[float]()
+def _not_followed(search: Search) -> list[float]:
+    """By recording the time in which the jack moves, but in no window [s]."""
+    seconds = list[float]()
     for number, modelled in enumerate(search.motions()[0]):
         missing, moving, flights = np.isnan(modelled[1:, X_JACK]), _aloft(search, number), search.flights[number]
-        flown = flights.flown if flights else []
-        for first, last in flown:
+        for first, last in flights.flown if flights else ():
             moving[first + 1 : last + 1] = True
-        steps = int((missing & moving[1:]).sum())
-        if flights is None:
-            joints += sum(window.recording == number for window in search.windows) - 1
-            steps = max(steps, int(missing.sum()) - search.resting_steps[number])
-        else:
-            joints += sum(one[1] == other[0] for one, other in pairwise(flown))
+        unseen = int(missing.sum()) - search.resting_steps[number] if flights is None else 0
+        steps = max(unseen, int((missing & moving[1:]).sum()))
         seconds.append(steps * search.recordings[number].dt)
-    return joints, seconds
+    return seconds
 
 
 def _aloft(search: Search, number: int) -> NDArray[np.bool_]:

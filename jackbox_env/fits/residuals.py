@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.fits.least_squares import LINK, UNIDENTIFIABLE, WIDTH, Chain, Rows
+from jackbox_env.fits.least_squares import UNIDENTIFIABLE, Chain, Rows
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import RATES, Array
+from jackbox_env.model.states import Array
 
 _LAGS = 4  # rows, up to which residuals are compared
 
@@ -36,43 +36,19 @@ def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
     return misfits
 
 
-def jumps(rows: Rows, windows: int, slack: float, noise: float) -> Array:
-    """The distances from the end of each window to the start of the next one that it is linked to, shape (windows,).
-
-    In standard deviations of the noise: the largest of the gap in positions and angles over ``noise``, and of what the
-    gap moves the next window's observations by. So it does not matter how fast the motion is. ``slack`` is the links',
-    both in units of the state; no rows are priors.
-    """
-    gaps, linked, seen = np.zeros((windows + 1, WIDTH)), rows.column == LINK, rows.column >= 0
-    after = rows.window[linked][::WIDTH] + 1
-    gaps[after] = slack * rows.residuals[linked].reshape(-1, WIDTH)
-    moved = abs(np.einsum("ij,ij->i", rows.jacobian[seen, :WIDTH], gaps[rows.window[seen]]))
-    largest: Array = abs(gaps[:, :RATES]).max(axis=1) / noise
-    np.maximum.at(largest, rows.window[seen], moved)
-    return largest[1:]
-
-
-def leverage(rows: Rows, projections: Array, lag: int = 0) -> Array:
-    """Elements of H = J (J^T J)^+ J^T: of each residual and the one ``lag`` rows before, in the same window."""
-    jacobian = np.delete(rows.jacobian, np.r_[WIDTH : 2 * WIDTH], axis=1)
-    elements: Array = (projections[lag:] * jacobian[: len(jacobian) - lag]).sum(axis=1)
-    return elements
-
-
-def autocorrelations(rows: Rows, projections: Array) -> Array:
+def autocorrelations(rows: Rows) -> Array:
     """Autocorrelation of the residuals of each column and of all, lags 1 to 4 together, within windows, shape (14,).
 
-    In units of its standard deviation for white noise: products r_i r_j have the mean -H_ij in a right model (Durbin
-    and Watson 1950), H as in :func:`leverage`, and a variance of about 1. 0 for columns of fewer than 12 residuals.
+    In units of its standard deviation for white noise; a little less on average if the model is right, because what is
+    fitted takes some of it away. 0 for columns of fewer than 12 residuals.
     """
     sums, counts = np.zeros(14), np.zeros(14)
     for column in range(13):
-        of = np.flatnonzero(rows.column == column)
-        some = Rows(rows.residuals[of], rows.jacobian[of], rows.column[of], rows.window[of])
-        for lag in range(1, _LAGS + 1) if len(of) >= 12 else ():
-            together = some.window[lag:] == some.window[:-lag]
-            products = some.residuals[lag:] * some.residuals[:-lag] + leverage(some, projections[of], lag)
-            sums[column] += products[together].sum()
+        of_column = rows.column == column
+        residuals, window = rows.residuals[of_column], rows.window[of_column]
+        for lag in range(1, _LAGS + 1) if len(residuals) >= 12 else ():
+            together = window[lag:] == window[:-lag]
+            sums[column] += (residuals[lag:] * residuals[:-lag])[together].sum()
             counts[column] += together.sum()
     sums[13], counts[13] = sums.sum(), counts.sum()
     deviations: Array = sums / np.sqrt(np.maximum(counts, 1.0))

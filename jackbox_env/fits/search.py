@@ -9,18 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from jackbox_env.fits.first_guess import flights_of, lost_frames_of, spikes_of
-from jackbox_env.fits.least_squares import Chain, Indices, Rows, minimise
+from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
-from jackbox_env.fits.residuals import highest_mean_square, leverage, misfitting
-from jackbox_env.fits.shooting import MOST_IMPACTS, Parameters, Shooting, Window, followed, motion, motions, units
+from jackbox_env.fits.residuals import highest_mean_square, misfitting
+from jackbox_env.fits.shooting import Parameters, Shooting, Window, followed, motion, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
+_LEAST_SHARE = 0.05  # of observations that the unknowns leave
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
 LINK_SLACKS = (1.0, 0.01, 1e-4)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
@@ -29,7 +29,6 @@ _PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units o
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
 _MOST_STEPS = 30  # of a search from near its end; windows that need more block it
-_MOST_IN_HOPS = 3  # impacts between flights that do not follow closely; of more, the order is not certain
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
 # They take about as long as the recordings; most fits that converge need a third.
 _MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1.5e4, 200, 4.0, 3
@@ -39,8 +38,7 @@ MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in window
 class Search:
     """One fit: its windows, and the present values of the fields' numbers and of the noise."""
 
-    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array, progress: Any) -> None:
-        self.progress = progress  # a bar of tqdm
+    def __init__(self, recordings: list[Recording], parameters: Parameters, known_noise: Array) -> None:
         seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
         # Steps that may still be evaluated.
         self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
@@ -63,7 +61,6 @@ class Search:
         self.left_out: list[Window] = []  # that the model does not explain
         self.fewest = 1  # windows that stay
         self.numbers = parameters.of(parameters.start)
-        self.first_width = np.full(len(self.numbers), np.inf)  # standard deviations of these at first
 
     def settle(self, slack: float) -> bool:
         """Optimise all windows, without those that block the search; return whether it ended."""
@@ -111,7 +108,6 @@ class Search:
         )
 
         def evaluate(unknowns: Array) -> Rows | None:
-            self.progress.refresh()
             self.work -= work
             rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
             width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
@@ -123,28 +119,31 @@ class Search:
         self.numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
         return ended, blocking if len(blocking) else np.array(shooting.not_followed, dtype=np.intp)
 
-    def estimate_noise(self, chain: Chain) -> None:
+    def free_share(self, rows: Rows) -> float:
+        """The share of the observations that the unknowns leave: fields, and the starts that no link determines."""
+        counts = np.bincount(rows.window[rows.column >= 0], minlength=len(self.windows))
+        free = np.array([True, *(not one.linked for one in self.windows[:-1])])
+        unknowns = rows.fields + np.minimum(counts, WIDTH)[free].sum()
+        return max(_LEAST_SHARE, 1.0 - float(unknowns) / max(1.0, float(counts.sum())))
+
+    def estimate_noise(self, rows: Rows) -> None:
         """Estimate the unknown noise from residuals, with as many degrees of freedom as the unknowns leave."""
-        rows = chain.rows
-        freedom, least = 1.0 - leverage(rows, chain.projections()), _NOISE_FLOOR * np.append(self.units, 1.0)
+        share, least = self.free_share(rows), _NOISE_FLOOR * np.append(self.units, 1.0)
         for column in np.flatnonzero(~np.isfinite(self.known_noise)):
-            of_column = rows.column == column
-            count = float(freedom[of_column].sum())
-            if count > 1.0:
-                scale = math.sqrt(float((rows.residuals[of_column] ** 2).sum()) / count)
-                self.noise[column] = max(scale * self.noise[column], least[column])
+            residuals = rows.residuals[rows.column == column]
+            if len(residuals):
+                self.noise[column] *= math.sqrt(float((residuals**2).mean()) / share)
+                self.noise[column] = max(self.noise[column], least[column])
 
     def fit_alone(self, window: Window) -> bool:
         """Fit a window near its start and near the fields' present numbers; return whether it is explained."""
         recording, numbers = self.recordings[window.recording], self.numbers
-        flights, modelled = self.flights[window.recording], motion(recording, window, self.parameters, numbers)
-        most = _MOST_IN_HOPS if flights and (window.first, window.last) not in flights.flown else MOST_IMPACTS
-        if not followed(window, modelled, most):
+        if not followed(window, motion(recording, window, self.parameters, numbers)):
             return False
         explained = self.explained([window])
         if not explained:
             mean, width = self.prior([window])
-            width[: len(numbers)], width[len(numbers) :] = self.first_width, _PRIOR_FLIGHT_WIDTH
+            width[: len(numbers)], width[len(numbers) :] = np.inf, _PRIOR_FLIGHT_WIDTH
             self.solve(Shooting(self.recordings, self.parameters, [window], (mean, width)), LINK_SLACKS[0], most=20)
             explained = self.explained([window])
         self.numbers = numbers

@@ -166,24 +166,21 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     return None if played is None else played[0]
 
 
-def followed(window: Window, modelled: WindowMotion | None, most: int) -> bool:
-    """Whether a window has derivatives to its end, and at most so many impacts, each with two rows or more."""
-    steps = window.last - window.first
+def followed(window: Window, modelled: WindowMotion | None) -> bool:
+    """Whether a window has derivatives to its end, and few impacts, each with two rows or more."""
+    steps, most = window.last - window.first, MOST_IMPACTS
     return modelled is not None and modelled.smooth == steps and len(modelled.times) <= min(most, steps // _ROWS)
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
     """Match times of heard impacts with the model's, each at most once and in order: indices into both."""
-    pairs, last = [], -1
-    for index, time in enumerate(heard):
-        later = np.arange(last + 1, len(times))
-        if len(later):
-            nearest = int(later[np.argmin(abs(times[later] - time))])
-            if abs(times[nearest] - time) < _NEAR:
-                pairs.append((index, nearest))
-                last = nearest
-    matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return matched[:, 0], matched[:, 1]
+    if not len(times):
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    away = abs(np.subtract.outer(heard, times))
+    nearest = away.argmin(axis=1) if len(heard) else np.zeros(0, np.intp)
+    first = np.unique(nearest, return_index=True)[1]
+    of_heard = first[away[first, nearest[first]] < _NEAR]
+    return of_heard, nearest[of_heard]
 
 
 class Shooting:
@@ -305,10 +302,6 @@ def next_window(
 
 
 def end_state(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Array:
-    """The model's state at a window's end; if it cannot follow, the observed numbers there."""
+    """The model's state at a window's end; its start if the model cannot follow."""
     modelled = motion(recording, window, parameters, numbers)
-    if modelled is not None:
-        end: Array = modelled.states[-1]
-        return end
-    observed = recording.states[window.last]
-    return np.where(np.isfinite(observed), observed, window.start)
+    return window.start if modelled is None else modelled.states[-1]

@@ -10,20 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from jackbox_env.fits.first_guess import Guess, guess_of, starts_of
+from jackbox_env.fits.first_guess import centre_of, starts_of
 from jackbox_env.fits.observed import state_at
 from jackbox_env.fits.search import MOST_SKIPPED, Search, unlink
 from jackbox_env.fits.shooting import Window, end_state, next_window
-from jackbox_env.model.states import RATES, THETA_JACK, Array
+from jackbox_env.model.states import RATES, Array
 
 _SHARES = 1.0, 0.5, 0.25  # of a window that are tried until one is explained
 _LEAST = 4  # steps of such a share
 _SOON = 5  # rows
 _REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
-# [rad] of a jack whose angle was not observed; it repeats every quarter turn
-_TRIAL_ANGLES = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8)
-_SURE = 0.25  # relative standard deviation of a guess that replaces the start, at most
-_FEW_SKIPPED = 0.02  # steps, over those of a recording; other guesses of its start are tried if there are more
 
 
 def go_on(search: Search) -> None:
@@ -75,68 +71,25 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
 
 def cut_all(search: Search) -> None:
     """Cut all recordings into windows: between flights, if there are any, else one step after the other."""
-    scene, fields = search.parameters.start, search.parameters.fields
-    guesses = [
-        None if flights is None else guess_of(one, scene, flights, search.noise, fields)
-        for one, flights in zip(search.recordings, search.flights, strict=True)
-    ]
-    search.numbers, search.first_width = _combined(search, [one for one in guesses if one is not None])
-    for number, guess in enumerate(guesses):
-        if guess is not None:
-            _cut_between(search, number, guess)
-    cut = {window.recording for window in search.windows}
-    for number in range(len(search.recordings)):
-        if number not in cut:
-            _cut_from_guesses(search, number)
+    for number, (recording, flights) in enumerate(zip(search.recordings, search.flights, strict=True)):
+        if flights is not None:
+            scene = search.parameters.start
+            starts = starts_of(recording, scene, flights, centre_of(recording, scene, flights, search.noise))
+            for (first, last), start in zip(flights.spans.values(), starts, strict=True):
+                window = Window(number, first, last, start=start)
+                explained = search.fit_alone(window)
+                (search.windows if explained else search.left_out).append(
+                    replace(window, start=window.start if explained else start)
+                )
+        if not any(window.recording == number for window in search.windows):
+            _cut(search, number, state_at(recording))
     search.link()
 
 
-def _combined(search: Search, guesses: list[Guess]) -> tuple[Array, Array]:
-    """The fields' numbers by the surest of guesses, or the start's, and their widths."""
-    scene, fields, best = search.parameters.start, search.parameters.fields, dict[str, tuple[float, float]]()
-    for guess in guesses:
-        for name, value in guess.values.items():
-            best[name] = min(best.get(name, value), value, key=lambda one: one[1])
-    deviations = np.array([best.get(name, (0.0, np.inf))[1] for name in fields])
-    sure = {name: best[name][0] for name, deviation in zip(fields, deviations, strict=True) if deviation < _SURE}
-    if "restitution" in sure:
-        sure["restitution"] = min(sure["restitution"], 1.0)
-    numbers = np.clip(search.parameters.of(scene.changed(**sure)), search.parameters.low, search.parameters.high)
-    return numbers, 3.0 * deviations
-
-
-def _cut_between(search: Search, number: int, guess: Guess) -> None:
-    """Cut a recording into windows between the middles of flights, those which the model explains."""
-    recording, numbers, flights = search.recordings[number], search.numbers, search.flights[number]
-    assert flights is not None
-    starts = starts_of(recording, search.parameters.scene(numbers), flights, guess)
-    for (first, last), start in zip(flights.spans.values(), starts, strict=True):
-        window = Window(number, first, last, start=start)
-        explained = search.fit_alone(window)
-        (search.windows if explained else search.left_out).append(window if explained else replace(window, start=start))
-    search.link()
-
-
-def _cut_from_guesses(search: Search, number: int) -> None:
-    """Cut a recording from several guesses of its first state, until one gets to its end; keep the furthest."""
-    first, furthest, (numbers, windows) = state_at(search.recordings[number]), -1, (search.numbers, search.windows)
-    seen = windows or np.isfinite(search.recordings[number].states[0, THETA_JACK])
-    for angle in (0.0,) if seen else _TRIAL_ANGLES:
-        search.numbers, search.windows, search.resting_steps[number] = numbers, [*windows], 0
-        complete = _cut(search, number, first + angle * np.eye(12)[THETA_JACK])
-        covered = sum(window.last - window.first for window in search.windows)
-        if covered > furthest:
-            furthest, best = covered, (search.numbers, search.windows, search.resting_steps[number])
-        if complete:
-            break
-    search.numbers, search.windows, search.resting_steps[number] = best
-
-
-def _cut(search: Search, number: int, state: Array) -> bool:
-    """Cut a recording into windows, each from the end of the one before it; return whether its end was reached."""
+def _cut(search: Search, number: int, state: Array) -> None:
+    """Cut a recording into windows, each from the end of the one before it, until too much is not explained."""
     recording, parameters = search.recordings[number], search.parameters
     first, end, skipped, steps = 0, state, 0, len(recording.states) - 1
-    search.progress.reset()
     while first < steps:
         window = next_window(recording, number, first, end, parameters, search.numbers)
         if window is None:  # at rest
@@ -148,10 +101,8 @@ def _cut(search: Search, number: int, state: Array) -> bool:
         else:  # the model's state is no guess, but of what is not observed soon
             skipped += window.last - first
             if skipped > MOST_SKIPPED * steps:
-                return False
+                return
             end, observed = end_state(recording, window, parameters, search.numbers), recording.states[window.last :]
             near = np.flatnonzero(np.isfinite(observed[:_SOON]).any(axis=0)) % RATES
             end = np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)
-        search.progress.update(window.last - first)
         first = window.last
-    return skipped <= _FEW_SKIPPED * steps

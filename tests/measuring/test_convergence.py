@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from jackbox_env import Recording, Scene, fit, rollout
-from jackbox_env.fits import fitting, outcome, search
+from jackbox_env.fits import fitting, outcome
 from jackbox_env.fits.first_guess import flights_of
 from jackbox_env.fits.least_squares import Rows, minimise
 from jackbox_env.fits.shooting import Parameters, Shooting, Window
-from tests.states import Array
+from jackbox_env.model.states import STATE_NAMES, Array
 
 FIELDS = ("jack_mass", "jack_inertia", "restitution")
 LAB = Scene(  # on a tilted table, its walls heavier than its middle
@@ -94,18 +94,6 @@ def test_links_that_stay_open_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> 
     assert any("links between windows are open, by up to" in problem for problem in problems), problems
 
 
-def test_a_motion_that_is_followed_in_pieces_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = search.Search.solve
-
-    def apart(self: search.Search, *arguments: Any, **keywords: Any) -> Any:
-        search.unlink(self.windows, range(len(self.windows)))
-        return solve(self, *arguments, **keywords)
-
-    monkeypatch.setattr(search.Search, "solve", apart)
-    problems = fit(filmed(LAB, 1.7), FIELDS, LAB).problems
-    assert any(problem.startswith("only 0 of ") and "in pieces" in problem for problem in problems), problems
-
-
 def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
     recording, start = filmed(LAB, 1.7), LAB.changed(box_mass=0.5 * 1.03)
     fitted = fit(recording, FIELDS, start)  # the same motion, of masses that are 1.03 times as large
@@ -136,6 +124,15 @@ def test_a_window_that_cannot_be_followed_ends_a_search_and_is_named() -> None:
     shooting = Shooting([recording], Parameters(("jack_mass",), LAB), windows)
     assert shooting.rows(shooting.unknowns(np.log([LAB.jack_mass])), np.ones(13), 1.0) is None
     assert shooting.not_followed == [1]
+
+
+def test_what_is_not_fitted_and_would_fit_better_widens_the_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths = list[float]()
+    for away in (1.0, 3.0):
+        monkeypatch.setattr(outcome, "_contradicted", lambda *_, away=away: ("gravity", away))
+        low, high = fit(filmed(LAB, 1.0), FIELDS, LAB).intervals["restitution"]
+        widths.append(high - low)
+    assert widths[1] == pytest.approx(1.5 * widths[0], rel=1e-6)
 
 
 def test_rest_is_no_flight() -> None:
@@ -203,7 +200,7 @@ def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
 
 
 def test_a_recording_of_which_nothing_agrees_is_a_problem_and_counts_no_window_twice() -> None:
-    junk, noise = np.full((40, 12), np.nan), np.tile([3e-4, 3e-4, 4e-3], 4)
+    junk, noise = np.full((40, 12), np.nan), dict(zip(STATE_NAMES, [3e-4, 3e-4, 4e-3] * 4, strict=True))
     junk[:, :6] = np.random.default_rng(1).normal(0.0, 0.1, (40, 6))
     fitted = fit([filmed(LAB, 1.0), Recording(junk, np.zeros(39), 1.0 / RATE)], FIELDS, LAB, noise=noise)
     assert "no part of recording 1 agrees with the scene" in fitted.problems, fitted.problems

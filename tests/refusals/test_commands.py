@@ -100,17 +100,17 @@ FITS = [
     ),
     refused(
         FITTED,
-        "bad.csv, row 3, column time: must increase, got 0.1 s after 0.1 s",
+        "bad.csv, row 3, column time: must increase up to 1e+10 s, got 0.1 s after 0.1 s",
         {"bad.csv": "time,x_box\n0.1,1\n0.1,1\n"},
     ),
     refused(
         FITTED,
-        "bad.csv, row 3, column time: must increase, got 0.2 s after 0.3 s",
+        "bad.csv, row 3, column time: must increase up to 1e+10 s, got 0.2 s after 0.3 s",
         {"bad.csv": "time,x_box\n0.3,1\n0.2,1\n0.1,1\n"},
     ),
     refused(
         FITTED,
-        "bad.csv, row 3, column time: must be within +-1e+10 s, got 1.7e+308 s",
+        "bad.csv, row 3, column time: must increase up to 1e+10 s, got 1.7e+308 s after 0 s",
         {"bad.csv": "time,x_box\n0,1\n1.7e308,1\n"},
     ),
     refused(

@@ -307,13 +307,11 @@ FITS = [
         "'jack_arm', 'box_half_width', 'restitution', got 'weight'",
     ),
     Refusal(fitted(start=3), TypeError, "scene must be a Scene, a dict of its fields or None, got 3"),
-    Refusal(
-        fitted(noise=0.0), ValueError, "noise must be finite and at least 1e-12, one number or 12 or by name, got 0.0"
-    ),
+    Refusal(fitted(noise=0.0), ValueError, "noise of x_box must be a finite number at least 1e-12, got 0.0"),
     Refusal(
         fitted(noise={"x_jack": 5e-324}),
         ValueError,
-        "noise['x_jack'] must be a finite number at least 1e-12, got 5e-324",
+        "noise of x_jack must be a finite number at least 1e-12, got 5e-324",
     ),
     Refusal(fitted(fields=None), ValueError, "fields must be different names, at least one, got None"),
     Refusal(
