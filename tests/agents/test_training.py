@@ -18,13 +18,12 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from agents.runs import describe, read_settings
+from agents.runs import read_settings
 from agents.settings import TrainSettings
 from agents.training import ppo as training
 from agents.training.checkpoints import latest_checkpoint
 from agents.training.models import make_ppo, make_vec_env
 from jackbox_env.sb3 import Durations
-from jackbox_env.tools.files import new_folder
 from jackbox_env.tools.model_files import read_parameters
 from tests.agents.small_run import TINY
 
@@ -45,19 +44,6 @@ def test_a_run_folder_has_the_settings_command_and_versions_of_its_run(run: Path
     assert spent["steps"] == TINY.total_steps
     assert spent["seconds"] > 0.0
     assert spent["processor_seconds"] > 0.0
-
-
-def test_a_resumed_run_goes_on_from_the_weights_it_had(tmp_path: Path, run: Path) -> None:
-    # Resuming at the total changes nothing: the checkpoint's weights come out again.
-    folder = new_folder(tmp_path / "run", "test")
-    describe(folder, replace(TINY, total_steps=768))
-    (folder / "checkpoints").mkdir()
-    checkpoint = folder / "checkpoints" / "ppo_768.zip"
-    checkpoint.write_bytes((run / "checkpoints" / "ppo_768.zip").read_bytes())
-    resumed = training.train(replace(TINY, total_steps=768), folder, progress=False)
-    saved = read_parameters(checkpoint)
-    torch.testing.assert_close(resumed.get_parameters()["policy"], saved["policy"], rtol=0.0, atol=0.0)
-    assert saved["policy.optimizer"]["state"], "the optimiser's moments are part of a checkpoint"
 
 
 def test_a_run_with_more_steps_goes_on_from_its_last_model(tmp_path: Path, run: Path) -> None:

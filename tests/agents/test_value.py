@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from agents.policies import planner
-from agents.policies.network import SHIPPED, write_with_layers
+from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch
 from agents.settings import EnvSettings
@@ -51,16 +48,3 @@ def test_the_planner_counts_the_value_where_one_was_made() -> None:
         assert (isinstance(search, ValuedSearch), search.knots) == (True, 20)
     for search in (search_in(scene='{"gravity": 3.0}'), search_in(control_dt=0.05)):
         assert (isinstance(search, ValuedSearch), search.knots) == (False, 32)
-
-
-def test_a_value_of_another_task_is_not_used_and_a_damaged_one_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(planner, "SHIPPED", tmp_path)
-    folder = tmp_path / "juggle-value"
-    folder.mkdir()
-    write_with_layers(folder, "value.json", EnvSettings(task="spin", contact="exact"), layers_for())
-    assert not isinstance(search_in(), ValuedSearch)
-    (folder / "value.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"has no value.json"):
-        search_in()

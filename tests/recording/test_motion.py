@@ -168,13 +168,6 @@ def test_a_restart_has_the_same_bits(cases: Callable[[int], int]) -> None:
     assert resting > 10
 
 
-def test_a_restart_restarts_again() -> None:
-    whole = simulate(duration=12.0)
-    again = whole.restart(4)
-    np.testing.assert_array_equal(again.restart(2).impacts, whole.impacts[8:])
-    assert again.work()[-1] == pytest.approx(whole.work(12.0) - whole.work(again.t[0]), abs=1e-6)
-
-
 @pytest.mark.parametrize("dt", [0.02, 0.003, 1e-4])
 def test_a_restart_goes_to_the_nominal_end(dt: float) -> None:
     whole = simulate(torque=np.full(math.ceil(4.0 / dt - 1e-6), 3e4), duration=4.0, dt=dt)
