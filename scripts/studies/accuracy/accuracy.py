@@ -151,11 +151,10 @@ def fidelity_table(results: Results) -> str:
 
 def _words(results: Results) -> dict[str, Any]:
     single = pymunk(4, 1).name
-    wrong, lost = results.some(THRESHOLD, "imbalance", "escaped")
+    wrong = results.of(THRESHOLD, "imbalance")
     return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
         "within": _within(results),
         "threshold_energy": figure(wrong.median),
-        "threshold_lost": f"{lost.total:g} of {lost.n}",
         "halving": f"{2.0 ** results.order('first_1')[0]:.1f}",
         "orders": ["{:.2f} ({:.2f} to {:.2f})".format(*results.order(quantity)) for quantity in ("first_1", "depth")],
         "single_cost": _percent(results.of(single, "cost_over_default").median),
