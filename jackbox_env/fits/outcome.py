@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.faults import FAULTS, spoilt
@@ -21,7 +20,7 @@ from jackbox_env.fits.residuals import (
     unidentified_sentence,
 )
 from jackbox_env.fits.result import Fit
-from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, link
 from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.states import (
@@ -168,41 +167,35 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
 
 def _not_followed(search: Search) -> list[float]:
     """By recording the time in which the jack moves, but in no window [s]."""
-    seconds = list[float]()
-    for number, modelled in enumerate(search.motions()[0]):
-        missing, moving, flights = np.isnan(modelled[1:, X_JACK]), _aloft(search, number), search.flights[number]
+    seconds, scene = list[float](), search.parameters.scene(search.numbers)
+    for modelled, recording, flights in zip(search.motions()[0], search.recordings, search.flights, strict=True):
+        walls, feet = np.divmod(np.arange(16 * len(modelled)) % 16, 4)
+        gaps = contacts_of(scene, np.repeat(recording.states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
+        near = _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK]
+        moving = ~(gaps <= near) if flights is None else gaps > near  # where it is not known: as if it moved, or not
         for first, last in flights.flown if flights else ():
             moving[first + 1 : last + 1] = True
-        unseen = int(missing.sum()) - search.resting_steps[number] if flights is None else 0
-        steps = max(unseen, int((missing & moving[1:]).sum()))
-        seconds.append(steps * search.recordings[number].dt)
+        seconds.append(float((np.isnan(modelled[:, X_JACK]) & moving)[1:].sum()) * recording.dt)
     return seconds
-
-
-def _aloft(search: Search, number: int) -> NDArray[np.bool_]:
-    """The rows of a recording in which no foot is near a wall, so that the jack does not rest; False if unseen."""
-    states, scene = search.recordings[number].states, search.parameters.scene(search.numbers)
-    walls, feet = np.divmod(np.arange(16 * len(states)) % 16, 4)
-    gaps = contacts_of(scene, np.repeat(states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
-    return np.asarray(gaps > _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK])
 
 
 def _held_out_residuals(search: Search) -> Array:
     """Studentised residuals of every fifth window, or the last of fewer, in fits without it."""
     numbers, windows = search.numbers.copy(), [replace(one, start=one.start.copy()) for one in search.windows]
-    held_out = list(range(4, len(windows), 5)) or [len(windows) - 1][: len(windows) - 1]
+    held_out = windows[4::5] or windows[1:][-1:]
     if not held_out:
         return np.zeros(0)
-    unlink(windows, held_out)
-    rest = [window for index, window in enumerate(windows) if index not in held_out]
+    rest = [window for window in windows if all(window is not one for one in held_out)]
+    link(rest)
     shooting = Shooting(search.recordings, search.parameters, rest)
     search.solve(shooting, LINK_SLACKS[-1])
     covariance, unidentified = identified(Chain(search.rows(shooting, LINK_SLACKS[-1]), len(rest)))
     covariance += _UNKNOWN**2 * unidentified.T @ unidentified
     residuals = []
-    for index in held_out:
-        alone = Shooting(search.recordings, search.parameters, [windows[index]])
-        search.solve(alone, LINK_SLACKS[-1], free=False)
+    for window in held_out:
+        link([window])
+        alone = Shooting(search.recordings, search.parameters, [window], search.prior([window], free=False))
+        search.solve(alone, LINK_SLACKS[-1])
         residuals.append(studentised(search.rows(alone, LINK_SLACKS[-1]), covariance))
     search.numbers = numbers
     return np.concatenate(residuals)

@@ -26,7 +26,6 @@ from jackbox_env.simulators import JackLostError
 _AHEAD = 2.0  # [s] simulated at first to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next, in all but small boxes; a window lasts longer
 _SMALL = 0.15  # [s], sqrt(L / g) of boxes below which that shrinks
-_ROWS = 2  # for each impact of a window, at least; fewer do not determine the order of impacts
 MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
@@ -164,12 +163,6 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     """The motion of a window from its start; None if the model cannot follow it."""
     played = _played(recording, [window], parameters, numbers)
     return None if played is None else played[0]
-
-
-def followed(window: Window, modelled: WindowMotion | None) -> bool:
-    """Whether a window has derivatives to its end, and few impacts, each with two rows or more."""
-    steps, most = window.last - window.first, MOST_IMPACTS
-    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= min(most, steps // _ROWS)
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:

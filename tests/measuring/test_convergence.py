@@ -196,7 +196,7 @@ def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
         assert fitted.unexplained < 0.1
         assert fitted.scene.jack_mass == pytest.approx(lossy.jack_mass, rel=0.02)
         assert fitted.scene.restitution == pytest.approx(lossy.restitution, abs=0.01)
-    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=1e-4)
+    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=2e-3)
 
 
 def test_a_recording_of_which_nothing_agrees_is_a_problem_and_counts_no_window_twice() -> None:
