@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jackbox_env.fits.first_guess import flights_of, lost_frames_of, spikes_of
+from jackbox_env.fits.first_guess import flights_of, spikes_of
 from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
 from jackbox_env.fits.residuals import highest_mean_square, misfitting
@@ -43,12 +43,10 @@ class Search:
         self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
         self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
-        self.lost_frames = [lost_frames_of(one, parameters.start) for one in recordings]
-        seen = [one.without(rows) for one, rows in zip(recordings, self.lost_frames, strict=True)]
-        rough = rough_noise(seen, np.append(self.units, 1.0))
+        rough = rough_noise(recordings, np.append(self.units, 1.0))
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
-        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in seen]
-        self.recordings = [one.without(rows) for one, rows in zip(seen, self.bad_rows, strict=True)]
+        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in recordings]
+        self.recordings = [one.without(rows) for one, rows in zip(recordings, self.bad_rows, strict=True)]
         self.flights = [  # which need gravity
             None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
             for one in self.recordings
@@ -124,15 +122,17 @@ class Search:
                 self.noise[column] = max(self.noise[column], least[column])
 
     def fit_block(self, windows: list[Window], free: bool) -> bool:
-        """Fit windows together, the fields too if they are ``free``; return whether the last window is explained."""
+        """Fit windows together, the fields too if they are ``free``; return whether the last window is explained.
+
+        Not if it is as it is; if it never is, all stays as it was.
+        """
         block = Shooting(self.recordings, self.parameters, windows, self.prior(windows, free))
         before = block.unknowns(self.numbers)
-        if block.rows(before, self.noise, 1.0) is None:
-            return False
+        rows = block.rows(before, self.noise, 1.0)
+        if rows is None or _explained(rows, len(windows) - 1):
+            return rows is not None
         self.solve(block, LINK_SLACKS[0], most=20)
-        rows = self.rows(block, LINK_SLACKS[0])
-        of_last = rows.residuals[(rows.window == len(windows) - 1) & (rows.column >= 0)]
-        explained = not len(of_last) or float(np.mean(of_last**2)) < highest_mean_square(len(of_last))
+        explained = _explained(self.rows(block, LINK_SLACKS[0]), len(windows) - 1)
         if not explained:
             self.numbers = block.set_starts(before)
         return explained
@@ -154,15 +154,20 @@ class Search:
         self.drop(misfits)
         return True
 
-    def motions(self) -> tuple[tuple[Array, ...], int]:
-        """The fitted motion of each recording, and the number of steps in windows."""
-        states, covered = tuple(np.full(one.states.shape, np.nan) for one in self.recordings), 0
+    def motions(self) -> tuple[Array, ...]:
+        """The fitted motion of each recording, (H + 1, 12), NaN in no window."""
+        states = tuple(np.full(one.states.shape, np.nan) for one in self.recordings)
         played = motions(self.recordings, self.windows, self.parameters, self.numbers)
         for window, modelled in zip(self.windows, played, strict=True):
             assert modelled is not None  # the search has evaluated it here
             states[window.recording][window.first : window.last + 1] = modelled.states
-            covered += window.last - window.first
-        return states, covered
+        return states
+
+
+def _explained(rows: Rows, window: int) -> bool:
+    """Whether a window fits within the noise."""
+    residuals = rows.residuals[(rows.window == window) & (rows.column >= 0)]
+    return not len(residuals) or float(np.mean(residuals**2)) < highest_mean_square(len(residuals))
 
 
 def link(windows: list[Window]) -> None:

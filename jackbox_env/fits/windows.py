@@ -6,7 +6,7 @@ A window that the model does not explain ends that. What is left out is tried ag
 from __future__ import annotations
 
 from jackbox_env.fits.first_guess import centre_of, starts_of
-from jackbox_env.fits.observed import state_at
+from jackbox_env.fits.observed import state_at_first
 from jackbox_env.fits.search import Search, link
 from jackbox_env.fits.shooting import Window, end_state, next_window
 
@@ -49,11 +49,11 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
     for one in before:
         one.linked = (one.recording, one.last) == (window.recording, window.first)
     chain.append(window)
-    free = len({*map(id, [*search.windows, *chain])}) <= search.block
+    few = len({*map(id, [*search.windows, *chain])}) <= search.block
     start, steps = window.start, window.last - window.first
     for share in _SHARES:
         window.start, window.last = start, window.first + max(min(_LEAST, steps), round(share * steps))
-        if search.fit_block(chain[-search.block :], free):
+        if search.fit_block(chain[-search.block :], free=few):
             return True
     window.last = window.first + steps
     del chain[-1]
@@ -65,12 +65,12 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
 def cut_all(search: Search) -> None:
     """Cut all recordings into windows: from flights on, if there are any, else one step after the other."""
     for number, (recording, flights) in enumerate(zip(search.recordings, search.flights, strict=True)):
-        seeds = [Window(number, 0, len(recording.states) - 1, start=state_at(recording))]
+        seeds = [Window(number, 0, len(recording.states) - 1, start=state_at_first(recording))]
         if flights is not None:
             scene = search.parameters.start
             starts = starts_of(recording, scene, flights, centre_of(recording, scene, flights, search.noise))
-            spans = zip(flights.spans.values(), starts, strict=True)
-            seeds = [Window(number, first, last, start=start) for (first, last), start in spans] + seeds
+            middles = zip(flights.middles.tolist(), starts, strict=True)
+            seeds = [Window(number, first, first + 1, start=start) for first, start in middles] + seeds
         windows, left_out = search.windows, search.left_out
         search.numbers, search.windows, search.left_out = search.parameters.of(search.parameters.start), [], seeds
         go_on(search)
