@@ -77,6 +77,11 @@ def evened(
             notes += [f"{name} wraps: {jumps} jumps of {turn} were taken out"] * bool(jumps)
         if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
+    lost = (states[:, X_JACK:THETA_JACK] == 0.0).all(axis=1)
+    lost[0] = False  # where a simulation may begin
+    if 0 < lost.sum() < 0.5 * len(states):
+        states[lost, X_JACK : THETA_JACK + 1] = np.nan
+        notes.append(f"x_jack and y_jack are 0 in {lost.sum()} rows, as of lost frames, which are left open")
     torques = columns.get("torque")
     turning = [header for header in left_out if torques is None and _TORQUE.search(header)]
     if turning and scene.drive is not None:
@@ -92,21 +97,16 @@ def evened(
     _refuse_sizes(table, scene, states, dt)
     begin = float(times[0])
     if abs(times).max() > LATEST_TIME:
-        _refuse_clock(table, scene, begin, torques)
+        if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
+            drive = (
+                "the scene's drive depends on the time: give the drive's times; --torque none if nothing turns the box"
+            )
+            raise ValueError(f"{table.source}column time: begins at {begin:.10g} s, and {drive}")
         notes.append(f"times count from the first row, at {begin:.10g} s")
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
     return {
         "states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts, "torque": torque,
     }, tuple(notes)  # fmt: skip
-
-
-def _refuse_clock(table: Table, scene: Scene, begin: float, torques: Array | None) -> None:
-    """Raise ValueError for Unix times of a scene whose drive acts."""
-    if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
-        raise ValueError(
-            f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give the "
-            "drive's times; --torque none if nothing turns the box"
-        )
 
 
 def unwrapped(angles: Array) -> tuple[Array, int, str]:
@@ -141,7 +141,12 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     rounding = rounding_of(times)
     gaps = _gaps(table, steps, rounding)
     dt = float(steps.sum() / gaps.sum())
-    _refuse_coarse(table, scene, float(times[-1]), dt)
+    coarsest = scene.box_half_width / scene.speed_scale  # half the box in one step
+    if dt > coarsest:
+        raise ValueError(
+            f"{table.source}column time: time runs to {times[-1]:,.6g} s in steps of {dt:.3g} s, which must be at most "
+            f"{coarsest:.2g} s: numbers of frames, or milliseconds?"
+        )
     if gaps.sum() > _MOST_MISSING * len(times):
         raise ValueError(
             f"{table.source}column time: {gaps.sum() + 1 - len(times):g} frames are missing between {len(times)} rows; "
@@ -188,16 +193,6 @@ def _gaps(table: Table, steps: Array, rounding: float) -> Array:
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
-
-
-def _refuse_coarse(table: Table, scene: Scene, end: float, dt: float) -> None:
-    """Raise ValueError if a jack at the scene's speed scale would cross half the box in one step."""
-    coarsest = scene.box_half_width / scene.speed_scale
-    if dt > coarsest:
-        raise ValueError(
-            f"{table.source}column time: time runs to {end:,.6g} s in steps of {dt:.3g} s, which must be at most "
-            f"{coarsest:.2g} s: numbers of frames, or milliseconds?"
-        )
 
 
 def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:

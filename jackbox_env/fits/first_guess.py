@@ -35,7 +35,6 @@ _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one 
 _JACK, _PLACE = slice(X_JACK, RATES), slice(X_JACK, THETA_JACK)
 _LEAST_ROWS = 4  # of a flight that is used
 _SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
-_ELSEWHERE = 0.05  # half widths
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
@@ -50,8 +49,8 @@ class Flights(NamedTuple):
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     scatter: Array  # standard deviation of these lines at the middle of a flight, in the noise's, (n,)
-    spans: dict[int, tuple[int, int]]  # steps from the middle of a lasting flight to the next one's, by its index
-    # The spans of which the next flight follows after an impact or a short hop; in the others the jack may rest.
+    middles: Indices  # rows, of the lasting flights; of the first its begin
+    # Rows from the middle of a lasting flight to the next one's, if that follows after an impact or a short hop.
     flown: list[tuple[int, int]]
 
 
@@ -100,14 +99,14 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
             bend = np.polyfit(off, straight[rows[within], X_JACK : Y_JACK + 1], 2)[0]
             lasting[index] = np.hypot(*bend) < _BENT * _fall(scene)
     first, last = rows[first], rows[ends - 1]
-    long, middles = np.flatnonzero(lasting), (first + last) // 2
+    long = np.flatnonzero(lasting)
     if not len(long):
         return None
-    middles[long[0]] = first[long[0]]
-    spans = {before: (int(middles[before]), int(middles[after])) for before, after in pairwise(long.tolist())}
+    middles = (first + last)[long] // 2
+    middles[0] = first[long[0]]
     near = first[long[1:]] - last[long[:-1]] <= max(_CLOSE, least / recording.dt)
-    flown = [span for span, close in zip(spans.values(), near, strict=True) if close]
-    return Flights(first, last, lasting, lines, scatter, spans, flown)
+    flown = [pair for pair, close in zip(pairwise(middles.tolist()), near, strict=True) if close]
+    return Flights(first, last, lasting, lines, scatter, middles, flown)
 
 
 def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
@@ -144,18 +143,6 @@ def spikes_of(recording: Recording, scene: Scene, noise: Array) -> list[int]:
         spikes += rows[peaks].tolist()
         rows = rows[~peaks]
     return spikes
-
-
-def lost_frames_of(recording: Recording, scene: Scene) -> list[int]:
-    """Rows of zeros, which trackers write for a lost frame, though the jack is elsewhere by those before and after."""
-    jack = recording.states[:, _JACK]
-    zeros = (jack[:, :2] == 0.0).all(axis=1)
-    others, rows = np.flatnonzero(np.isfinite(jack).all(axis=1) & ~zeros), np.flatnonzero(zeros)
-    if not len(others):
-        return []
-    between = [np.interp(rows, others, jack[others, axis]) for axis in range(2)]
-    lost: list[int] = rows[np.hypot(*between) > _ELSEWHERE * scene.box_half_width].tolist()
-    return lost
 
 
 def _merged(times: Any, values: Array) -> Indices:
@@ -268,9 +255,8 @@ def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array
 
 
 def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Centre) -> Array:
-    """States on the flights' lines where the spans begin, and in the box that the centre leaves, (n, 12)."""
-    times = np.array([first for first, _ in flights.spans.values()]) * recording.dt
-    lines = flights.lines[[*flights.spans]]
+    """States on the lines of lasting flights in their middles, in the box that the centre leaves, (n, 12)."""
+    times, lines = flights.middles * recording.dt, flights.lines[flights.lasting]
     straight, rates = lines[:, _PLACE, 0] + lines[:, _PLACE, 1] * times[:, None], lines[:, _PLACE, 1]
     states = state_on(recording, scene, lines, times)
     states[:, X_BOX : Y_BOX + 1] = centre.place + np.multiply.outer(times, centre.drift) - centre.ratio * straight

@@ -1,9 +1,8 @@
 """Fit fields of a scene to recordings, with confidence intervals.
 
-``fit`` cuts recordings into windows (:mod:`jackbox_env.fits.windows`): between the middles of flights, if there
-are any, else one after the other, each fitted with the few before it. Then it fits all windows together
-(:mod:`jackbox_env.fits.search`), goes on from there to where the jack rests, tightens the links between windows and
-estimates the noise. Intervals and problems come last (:mod:`jackbox_env.fits.outcome`).
+``fit`` cuts recordings into windows (:mod:`jackbox_env.fits.windows`), each fitted with the few before it. Then it fits
+all windows together (:mod:`jackbox_env.fits.search`), goes on from there to where the jack rests, tightens the links
+between windows and estimates the noise. Intervals and problems come last (:mod:`jackbox_env.fits.outcome`).
 """
 
 from __future__ import annotations

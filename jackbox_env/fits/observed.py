@@ -156,25 +156,19 @@ def _finite(name: str, values: Any) -> Array:
 
 def pushed(recording: Recording, scene: Scene) -> bool:
     """Whether a torque or a force acted on the box of this scene."""
-    drive = scene.drive
-    if recording.torques is None:
-        return drive is not None
-    return bool(recording.torques.any()) or (drive is not None and drive.force_bound > 0.0)
+    turned = scene.drive is not None if recording.torques is None else bool(recording.torques.any())
+    return turned or (scene.drive is not None and scene.drive.force_bound > 0.0)
 
 
-def state_at(recording: Recording, first: int = 0) -> Array:
-    """A guess of the state in a row: observed numbers, rates from the next positions, else 0."""
-    observed, state = recording.states[first:], np.zeros(12)
+def state_at_first(recording: Recording) -> Array:
+    """A guess of the state in the first row: observed numbers, rates from the next positions, else 0."""
+    observed, state = recording.states, np.zeros(12)
     for column in range(RATES):
         rows = np.flatnonzero(np.isfinite(observed[:, column]))[:5]
         if len(rows):
-            times, positions = rows * recording.dt, observed[rows, column]
-            slope = np.polyfit(times, positions, 1)[0] if len(rows) > 1 and rows[-1] < 10 else 0.0
-            state[column] = positions[0] - slope * times[0]
-            state[column + RATES] = slope
-        if np.isfinite(observed[0, column + RATES]):
-            state[column + RATES] = observed[0, column + RATES]
-    return state
+            line = np.polyfit(rows * recording.dt, observed[rows, column], int(len(rows) > 1 and rows[-1] < 10))
+            state[column], state[column + RATES] = line[-1], line[0] * (len(line) > 1)
+    return np.where(np.isfinite(observed[0]) & (np.arange(12) >= RATES), observed[0], state)
 
 
 def known_noise(noise: Any) -> Array:

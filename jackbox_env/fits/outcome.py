@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.faults import FAULTS, spoilt
@@ -17,11 +16,10 @@ from jackbox_env.fits.residuals import (
     highest_mean_square,
     identified,
     misfitting,
-    relative_masses,
     unidentified_sentence,
 )
 from jackbox_env.fits.result import Fit
-from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, link
 from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.states import (
@@ -45,7 +43,8 @@ _LEAST_FREE = 0.1  # variance of a residual that is used, over the noise's; less
 _UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
 _FAR = 6.0  # standard deviations of a row that is bad
 _NEAR = 0.05  # half widths of a foot that may rest on a wall; no higher bounce piles up
-_MOST_BAD = 0.05  # share of such rows, at most; lost frames are none
+_MOST_BAD = 0.05  # share of such rows, at most
+_MASSES = {"box_mass", "box_inertia", "jack_mass", "jack_inertia"}
 _PLACE = {X_JACK, Y_JACK, VX_JACK, VY_JACK}
 _FEW = 20  # windows
 _SLIGHT = 1e-6  # size of a fault, of which derivatives are differences
@@ -66,12 +65,13 @@ def outcome_of(search: Search, ended: bool) -> Fit:
     least = np.where(parameters.logarithmic, -np.inf, 0.0)
     most = np.where(parameters.logarithmic, np.inf, parameters.high)
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
-    states, covered = search.motions()
-    left_out = sum(len(one.states) - 1 for one in search.recordings) - covered
+    states = search.motions()
     unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
-    if not any(pushed(one, parameters.start) for one in search.recordings):
-        unknown += relative_masses(parameters.fields, np.isfinite(half_widths).tolist(), parameters.start)
-    problems = ["the recordings identify none of the fields"] * (not np.isfinite(half_widths).any())
+    known = {name for name, half_width in zip(parameters.fields, half_widths, strict=True) if np.isfinite(half_width)}
+    if known & _MASSES and not any(pushed(one, parameters.start) for one in search.recordings):
+        others = "without a torque or a force on the box only ratios of masses are known"
+        unknown.append(f"{others}: {' and '.join(sorted(known & _MASSES))} by those that are given")
+    problems = ["the recordings identify none of the fields"] * (not known)
     problems += ["the search did not end"] * (not ended)
     if away > _MOST_CONTRADICTED:
         wrong = f"{name}, or something else that is not fitted, is wrong"
@@ -87,7 +87,7 @@ def outcome_of(search: Search, ended: bool) -> Fit:
         tuple(unknown),
         {name: float(search.noise[k]) for k, name in enumerate((*STATE_NAMES, IMPACT)) if (rows.column == k).any()},
         states,
-        left_out,
+        sum(int(np.isnan(one[1:, X_JACK]).sum()) for one in states),
         tuple(problems),
         tuple(_bad_row_sentences(search)),
         sum(_not_followed(search)),
@@ -154,55 +154,47 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
 
 def _bad_row_sentences(search: Search) -> Iterator[str]:
     """The rows that were left out, and how far the jack is off; not rows in which it is on no or on the fitted path."""
-    for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions()[0], strict=True)):
+    for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions(), strict=True)):
         off = abs(search.recorded[number].states - states)[:, X_JACK:RATES]
         away, recording = off / search.noise[X_JACK:RATES], f" of recording {number}" * (len(search.bad_rows) > 1)
-        for row in sorted([*rows, *search.lost_frames[number]]):
+        for row in sorted(rows):
             column = X_JACK + int(np.argmax(away[row]))
-            text = f"{STATE_NAMES[column]} is {off[row, column - X_JACK]:.2g} {STATE_UNITS[column]} off"
-            if row in search.lost_frames[number]:
-                yield f"row {row}{recording}: x_jack and y_jack are 0, as of a lost frame"
-            elif (away[row] > _FAR).any():
+            if (away[row] > _FAR).any():
+                text = f"{STATE_NAMES[column]} is {off[row, column - X_JACK]:.2g} {STATE_UNITS[column]} off"
                 yield f"row {row}{recording}: {text}"
 
 
 def _not_followed(search: Search) -> list[float]:
     """By recording the time in which the jack moves, but in no window [s]."""
-    seconds = list[float]()
-    for number, modelled in enumerate(search.motions()[0]):
-        missing, moving, flights = np.isnan(modelled[1:, X_JACK]), _aloft(search, number), search.flights[number]
+    seconds, scene = list[float](), search.parameters.scene(search.numbers)
+    for modelled, recording, flights in zip(search.motions(), search.recordings, search.flights, strict=True):
+        walls, feet = np.divmod(np.arange(16 * len(modelled)) % 16, 4)
+        gaps = contacts_of(scene, np.repeat(recording.states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
+        near = _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK]
+        moving = ~(gaps <= near) if flights is None else gaps > near  # where it is not known: as if it moved, or not
         for first, last in flights.flown if flights else ():
             moving[first + 1 : last + 1] = True
-        unseen = int(missing.sum()) - search.resting_steps[number] if flights is None else 0
-        steps = max(unseen, int((missing & moving[1:]).sum()))
-        seconds.append(steps * search.recordings[number].dt)
+        seconds.append(float((np.isnan(modelled[:, X_JACK]) & moving)[1:].sum()) * recording.dt)
     return seconds
-
-
-def _aloft(search: Search, number: int) -> NDArray[np.bool_]:
-    """The rows of a recording in which no foot is near a wall, so that the jack does not rest; False if unseen."""
-    states, scene = search.recordings[number].states, search.parameters.scene(search.numbers)
-    walls, feet = np.divmod(np.arange(16 * len(states)) % 16, 4)
-    gaps = contacts_of(scene, np.repeat(states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
-    return np.asarray(gaps > _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK])
 
 
 def _held_out_residuals(search: Search) -> Array:
     """Studentised residuals of every fifth window, or the last of fewer, in fits without it."""
     numbers, windows = search.numbers.copy(), [replace(one, start=one.start.copy()) for one in search.windows]
-    held_out = list(range(4, len(windows), 5)) or [len(windows) - 1][: len(windows) - 1]
+    held_out = windows[4::5] or windows[1:][-1:]
     if not held_out:
         return np.zeros(0)
-    unlink(windows, held_out)
-    rest = [window for index, window in enumerate(windows) if index not in held_out]
+    rest = [window for window in windows if all(window is not one for one in held_out)]
+    link(rest)
     shooting = Shooting(search.recordings, search.parameters, rest)
     search.solve(shooting, LINK_SLACKS[-1])
     covariance, unidentified = identified(Chain(search.rows(shooting, LINK_SLACKS[-1]), len(rest)))
     covariance += _UNKNOWN**2 * unidentified.T @ unidentified
     residuals = []
-    for index in held_out:
-        alone = Shooting(search.recordings, search.parameters, [windows[index]])
-        search.solve(alone, LINK_SLACKS[-1], free=False)
+    for window in held_out:
+        link([window])
+        alone = Shooting(search.recordings, search.parameters, [window], search.prior([window], free=False))
+        search.solve(alone, LINK_SLACKS[-1])
         residuals.append(studentised(search.rows(alone, LINK_SLACKS[-1]), covariance))
     search.numbers = numbers
     return np.concatenate(residuals)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jackbox_env.fits.least_squares import UNIDENTIFIABLE, Chain, Rows
-from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 
 _LAGS = 4  # rows, up to which residuals are compared
@@ -77,16 +76,3 @@ def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: N
         return f"the recordings identify {' and '.join(listed)} only up to one common factor"
     moves = [f"{name} by {direction[index]:+.2g} %" for name, index in zip(listed, parts, strict=True)]
     return f"moving {' and '.join(moves)} changes nothing that was observed"
-
-
-def relative_masses(fields: Sequence[str], identified: Sequence[bool], start: Scene) -> list[str]:
-    """A sentence if nothing pushed the box and masses are identified for others that are given."""
-    masses = "box_mass", "box_inertia", "jack_mass", "jack_inertia"
-    fitted = [name for name, known in zip(fields, identified, strict=True) if known and name in masses]
-    constant = [name for name in masses if name not in (*fields, *start.derived)]
-    if not fitted or not constant:
-        return []
-    relative = (
-        f"{' and '.join(fitted)} {'is' if len(fitted) == 1 else 'are'} relative to {' and '.join(constant)} as given"
-    )
-    return [f"without a torque or a force on the box only ratios of masses are known: {relative}"]

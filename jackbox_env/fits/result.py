@@ -33,7 +33,7 @@ class Fit:
             ended and identified a field, the motion does not jump, every window fits within the noise, the residuals
             are white, and no other value of what is not fitted would fit better.
         bad_rows: rows in which nothing of the jack was used, each in a sentence: "row 133: x_jack is 0.05 m off". More
-            than 5 % of a recording are a problem, but for rows of zeros, which trackers write for lost frames.
+            than 5 % of a recording are a problem.
         unexplained: time of these steps in which the jack flies, but the scene does not explain how [s].
     """
 

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from jackbox_env.fits.first_guess import flights_of, lost_frames_of, spikes_of
+from jackbox_env.fits.first_guess import flights_of, spikes_of
 from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
 from jackbox_env.fits.residuals import highest_mean_square, misfitting
-from jackbox_env.fits.shooting import Parameters, Shooting, Window, followed, motion, motions, units
+from jackbox_env.fits.shooting import Parameters, Shooting, Window, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
@@ -24,8 +23,8 @@ _LEAST_SHARE = 0.05  # of observations that the unknowns leave
 _NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
 LINK_SLACKS = (1.0, 0.01, 1e-4)  # from loose to tight, over the smallest noise
 _BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
-_PRIOR_WIDTH = 0.5  # standard deviation, of logarithms of fields and of an unobserved jack's angle [rad]
-_PRIOR_FLIGHT_WIDTH = 0.003  # of the numbers of a state on a flight, in units of the state
+_PRIOR_WIDTH, _PRIOR_ANGLE = 1.0, 0.5  # standard deviations, of logarithms of fields, of an unobserved angle [rad]
+_FIXED = 1e-9  # the same of fields that are not free
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
 _MOST_SETTLED = 12  # searches with one slack
 _MOST_STEPS = 30  # of a search from near its end; windows that need more block it
@@ -44,12 +43,10 @@ class Search:
         self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
         self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
-        self.lost_frames = [lost_frames_of(one, parameters.start) for one in recordings]
-        seen = [one.without(rows) for one, rows in zip(recordings, self.lost_frames, strict=True)]
-        rough = rough_noise(seen, np.append(self.units, 1.0))
+        rough = rough_noise(recordings, np.append(self.units, 1.0))
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
-        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in seen]
-        self.recordings = [one.without(rows) for one, rows in zip(seen, self.bad_rows, strict=True)]
+        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in recordings]
+        self.recordings = [one.without(rows) for one, rows in zip(recordings, self.bad_rows, strict=True)]
         self.flights = [  # which need gravity
             None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
             for one in self.recordings
@@ -57,7 +54,6 @@ class Search:
         self.observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
         self.block = _BLOCK if self.observed.all() else _INCOMPLETE_BLOCK
         self.windows: list[Window] = []
-        self.resting_steps = [0] * len(recordings)  # in no window because the jack rests there by the model
         self.left_out: list[Window] = []  # that the model does not explain
         self.fewest = 1  # windows that stay
         self.numbers = parameters.of(parameters.start)
@@ -73,16 +69,10 @@ class Search:
         return ended
 
     def drop(self, indices: Sequence[int]) -> None:
-        """Leave windows out, for :func:`jackbox_env.fits.windows.resume`."""
-        unlink(self.windows, indices)
+        """Leave windows out, for :func:`jackbox_env.fits.windows.go_on`."""
         self.left_out += [self.windows[index] for index in indices]
         self.windows = [window for index, window in enumerate(self.windows) if index not in indices]
-
-    def link(self) -> None:
-        """Sort the windows, and link each to the next one if that begins where it ends."""
-        self.windows.sort(key=lambda one: (one.recording, one.first))
-        for window, after in pairwise(self.windows):
-            window.linked = (window.recording, window.last) == (after.recording, after.first)
+        link(self.windows)
 
     def scaled_slack(self, slack: float) -> float:
         """A slack in units of the state."""
@@ -95,12 +85,11 @@ class Search:
         assert rows is not None  # the search has evaluated them here
         return rows
 
-    def solve(self, shooting: Shooting, slack: float, free: bool = True, most: int = 60) -> tuple[bool, Indices]:
-        """Optimise the windows' starts, and the fields too if they are ``free``, while work is left.
+    def solve(self, shooting: Shooting, slack: float, most: int = 60) -> tuple[bool, Indices]:
+        """Optimise the windows' starts and the fields, while work is left.
 
         Returns whether the search ended, and the windows that block it or that the model could not follow at last.
         """
-        fixed = np.zeros(0) if free else self.numbers
         first, noise, scaled_slack = shooting.unknowns(self.numbers), self.noise, self.scaled_slack(slack)
         work = sum(
             (one.last - one.first) * (_OF_DRIVE if self.recordings[one.recording].torques is None else 1)
@@ -109,14 +98,11 @@ class Search:
 
         def evaluate(unknowns: Array) -> Rows | None:
             self.work -= work
-            rows = shooting.rows(np.concatenate([fixed, unknowns]), noise, scaled_slack)
-            width = None if rows is None else rows.jacobian.shape[1] - len(fixed)
-            return rows if rows is None or free else rows._replace(jacobian=rows.jacobian[:, :width])
+            return shooting.rows(unknowns, noise, scaled_slack)
 
-        low, high = (bound[len(fixed) :] for bound in (self.parameters.low, self.parameters.high))
-        most = most if self.work > 0.0 else 0
-        unknowns, ended, blocking = minimise(evaluate, first[len(fixed) :], len(shooting.windows), most, low, high)
-        self.numbers = shooting.set_starts(np.concatenate([fixed, unknowns]))
+        bounds, most = (self.parameters.low, self.parameters.high), most if self.work > 0.0 else 0
+        unknowns, ended, blocking = minimise(evaluate, first, len(shooting.windows), most, *bounds)
+        self.numbers = shooting.set_starts(unknowns)
         return ended, blocking if len(blocking) else np.array(shooting.not_followed, dtype=np.intp)
 
     def free_share(self, rows: Rows) -> float:
@@ -135,45 +121,28 @@ class Search:
                 self.noise[column] *= math.sqrt(float((residuals**2).mean()) / share)
                 self.noise[column] = max(self.noise[column], least[column])
 
-    def fit_alone(self, window: Window) -> bool:
-        """Fit a window near its start and near the fields' present numbers; return whether it is explained."""
-        recording, numbers = self.recordings[window.recording], self.numbers
-        if not followed(window, motion(recording, window, self.parameters, numbers)):
-            return False
-        explained = self.explained([window])
+    def fit_block(self, windows: list[Window], free: bool) -> bool:
+        """Fit windows together, the fields too if they are ``free``; return whether the last window is explained.
+
+        Not if it is as it is; if it never is, all stays as it was.
+        """
+        block = Shooting(self.recordings, self.parameters, windows, self.prior(windows, free))
+        before = block.unknowns(self.numbers)
+        rows = block.rows(before, self.noise, 1.0)
+        if rows is None or _explained(rows, len(windows) - 1):
+            return rows is not None
+        self.solve(block, LINK_SLACKS[0], most=20)
+        explained = _explained(self.rows(block, LINK_SLACKS[0]), len(windows) - 1)
         if not explained:
-            mean, width = self.prior([window])
-            width[: len(numbers)], width[len(numbers) :] = np.inf, _PRIOR_FLIGHT_WIDTH
-            self.solve(Shooting(self.recordings, self.parameters, [window], (mean, width)), LINK_SLACKS[0], most=20)
-            explained = self.explained([window])
-        self.numbers = numbers
+            self.numbers = block.set_starts(before)
         return explained
 
-    def fit_block(self, windows: list[Window], free: bool) -> bool:
-        """Fit windows together, the fields too if they are ``free``; return whether the last window is explained."""
-        block = Shooting(self.recordings, self.parameters, windows, self.prior(windows) if free else None)
-        if block.rows(block.unknowns(self.numbers), self.noise, 1.0) is None:
-            return False
-        self.solve(block, LINK_SLACKS[0], free=free, most=20)
-        return self.explained(windows)
-
-    def explained(self, windows: list[Window]) -> bool:
-        """Whether the last of these windows fits within the noise, as it is."""
-        block = Shooting(self.recordings, self.parameters, windows)
-        rows = block.rows(block.unknowns(self.numbers), self.noise, 1.0)
-        if rows is None:
-            return False
-        of_last = (rows.window == len(windows) - 1) & (rows.column >= 0)
-        if not of_last.any():
-            return True
-        return float(np.mean(rows.residuals[of_last] ** 2)) < highest_mean_square(int(of_last.sum()))
-
-    def prior(self, windows: list[Window]) -> tuple[Array, Array]:
-        """Mean and standard deviation of the fields' numbers and of the first start, shape (F + 12,)."""
+    def prior(self, windows: list[Window], free: bool) -> tuple[Array, Array]:
+        """Mean and standard deviation of the fields' numbers, which stay if not ``free``, and of the first start."""
         count = len(self.numbers)
         mean = np.concatenate([self.numbers, windows[0].start / self.units])
-        width = np.full(count + 12, _PRIOR_START_WIDTH)
-        width[:count], width[count + THETA_JACK] = _PRIOR_WIDTH, _PRIOR_WIDTH
+        width = np.full(count + 12, _PRIOR_START_WIDTH if free else np.inf)
+        width[:count], width[count + THETA_JACK] = (_PRIOR_WIDTH, _PRIOR_ANGLE) if free else (_FIXED, np.inf)
         return mean, width
 
     def without_misfits(self, slack: float, most: int) -> bool:
@@ -185,20 +154,24 @@ class Search:
         self.drop(misfits)
         return True
 
-    def motions(self) -> tuple[tuple[Array, ...], int]:
-        """The fitted motion of each recording, and the number of steps in windows."""
-        states, covered = tuple(np.full(one.states.shape, np.nan) for one in self.recordings), 0
+    def motions(self) -> tuple[Array, ...]:
+        """The fitted motion of each recording, (H + 1, 12), NaN in no window."""
+        states = tuple(np.full(one.states.shape, np.nan) for one in self.recordings)
         played = motions(self.recordings, self.windows, self.parameters, self.numbers)
         for window, modelled in zip(self.windows, played, strict=True):
             assert modelled is not None  # the search has evaluated it here
             states[window.recording][window.first : window.last + 1] = modelled.states
-            covered += window.last - window.first
-        return states, covered
+        return states
 
 
-def unlink(windows: list[Window], indices: Sequence[int]) -> None:
-    """Remove the links of windows to those before and after them."""
-    for index in indices:
-        windows[index].linked = False
-        if index:
-            windows[index - 1].linked = False
+def _explained(rows: Rows, window: int) -> bool:
+    """Whether a window fits within the noise."""
+    residuals = rows.residuals[(rows.window == window) & (rows.column >= 0)]
+    return not len(residuals) or float(np.mean(residuals**2)) < highest_mean_square(len(residuals))
+
+
+def link(windows: list[Window]) -> None:
+    """Sort windows, and link each to the next one if that begins where it ends."""
+    windows.sort(key=lambda one: (one.recording, one.first))
+    for window, after in zip(windows, [*windows[1:], None], strict=False):
+        window.linked = after is not None and (window.recording, window.last) == (after.recording, after.first)

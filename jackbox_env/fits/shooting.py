@@ -23,10 +23,9 @@ from jackbox_env.model.states import Array
 from jackbox_env.planning.linearization import linearize
 from jackbox_env.simulators import JackLostError
 
-_AHEAD = 2.0  # [s] simulated at first to locate a window's end
+_AHEAD = 2.0  # [s] simulated to locate a window's end
 _APART = 0.05  # [s] between impacts of one window and of the next, in all but small boxes; a window lasts longer
 _SMALL = 0.15  # [s], sqrt(L / g) of boxes below which that shrinks
-_ROWS = 2  # for each impact of a window, at least; fewer do not determine the order of impacts
 MOST_IMPACTS = 4  # in a window; more are bounces that pile up, which identify nothing
 _GROUPED = 8  # steps, by less than which windows that are played together differ in length
 _NEAR = 0.5  # [s] within which an impact that was heard may be the model's
@@ -166,12 +165,6 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
     return None if played is None else played[0]
 
 
-def followed(window: Window, modelled: WindowMotion | None) -> bool:
-    """Whether a window has derivatives to its end, and few impacts, each with two rows or more."""
-    steps, most = window.last - window.first, MOST_IMPACTS
-    return modelled is not None and modelled.smooth == steps and len(modelled.times) <= min(most, steps // _ROWS)
-
-
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
     """Match times of heard impacts with the model's, each at most once and in order: indices into both."""
     if not len(times):
@@ -280,25 +273,21 @@ def next_window(
 
     It ends half way to the next impact. None if the jack comes to rest, or cannot be followed.
     """
-    most = len(recording.states) - 1
-    ahead = math.ceil(_AHEAD / recording.dt)
-    while True:
-        last = min(most, first + ahead)
-        window = Window(number, first, last, start=start)
-        modelled = motion(recording, window, parameters, numbers)
-        if modelled is None:
-            return None
-        apart = np.flatnonzero(np.diff(modelled.times) > brief(parameters.start))
-        count = int(apart[0]) + 1 if len(apart) else len(modelled.times)
-        if count > MOST_IMPACTS or (modelled.smooth < last - first and not len(apart)):
-            return None
-        if len(apart):
-            middle = 0.5 * (modelled.times[count - 1] + modelled.times[count])
-            window.last = first + max(1, round((middle - recording.time) / recording.dt) - first)
-            return window if window.last - first > 1.2 * brief(parameters.start) / recording.dt else None
-        if last == most:
-            return window
-        ahead *= 2
+    window = Window(
+        number, first, min(len(recording.states) - 1, first + math.ceil(_AHEAD / recording.dt)), start=start
+    )
+    modelled = motion(recording, window, parameters, numbers)
+    if modelled is None:
+        return None
+    apart = np.flatnonzero(np.diff(modelled.times) > brief(parameters.start))
+    count = int(apart[0]) + 1 if len(apart) else len(modelled.times)
+    if count > MOST_IMPACTS or (modelled.smooth < window.last - first and not len(apart)):
+        return None
+    if len(apart):
+        middle = 0.5 * (modelled.times[count - 1] + modelled.times[count])
+        window.last = first + max(1, round((middle - recording.time) / recording.dt) - first)
+        return window if window.last - first > 1.2 * brief(parameters.start) / recording.dt else None
+    return window
 
 
 def end_state(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> Array:

@@ -1,25 +1,17 @@
-"""Cut the recordings of a search into windows: between the middles of flights, or one after the other.
+"""Cut the recordings of a search into windows, each from the end of the one before it: from flights, or from row 0.
 
-Windows that the model does not explain are left out, resumed when it does, and followed by others to where the jack
-rests.
+A window that the model does not explain ends that. What is left out is tried again when the fields are known better.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from jackbox_env.fits.first_guess import centre_of, starts_of
-from jackbox_env.fits.observed import state_at
-from jackbox_env.fits.search import MOST_SKIPPED, Search, unlink
+from jackbox_env.fits.observed import state_at_first
+from jackbox_env.fits.search import Search, link
 from jackbox_env.fits.shooting import Window, end_state, next_window
-from jackbox_env.model.states import RATES, Array
 
 _SHARES = 1.0, 0.5, 0.25  # of a window that are tried until one is explained
 _LEAST = 4  # steps of such a share
-_SOON = 5  # rows
-_REST_SKIPPED = 0.2  # [s] between trials to go on while the jack rests
 
 
 def go_on(search: Search) -> None:
@@ -48,7 +40,7 @@ def go_on(search: Search) -> None:
             first, end = window.last, end_state(recording, window, search.parameters, search.numbers)
         search.windows += [window for window in chain if window is not seed]
         search.left_out += [seed] * (first == begin == seed.first)
-    search.link()
+    link(search.windows)
 
 
 def _appended(search: Search, chain: list[Window], window: Window) -> bool:
@@ -57,52 +49,29 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
     for one in before:
         one.linked = (one.recording, one.last) == (window.recording, window.first)
     chain.append(window)
-    free = len({*map(id, [*search.windows, *chain])}) <= search.block
+    few = len({*map(id, [*search.windows, *chain])}) <= search.block
     start, steps = window.start, window.last - window.first
     for share in _SHARES:
         window.start, window.last = start, window.first + max(min(_LEAST, steps), round(share * steps))
-        if search.fit_block(chain[-search.block :], free):
+        if search.fit_block(chain[-search.block :], free=few):
             return True
     window.last = window.first + steps
     del chain[-1]
-    unlink(before, range(len(before)))
+    for one in before:
+        one.linked = False
     return False
 
 
 def cut_all(search: Search) -> None:
-    """Cut all recordings into windows: between flights, if there are any, else one step after the other."""
+    """Cut all recordings into windows: from flights on, if there are any, else one step after the other."""
     for number, (recording, flights) in enumerate(zip(search.recordings, search.flights, strict=True)):
+        seeds = [Window(number, 0, len(recording.states) - 1, start=state_at_first(recording))]
         if flights is not None:
             scene = search.parameters.start
             starts = starts_of(recording, scene, flights, centre_of(recording, scene, flights, search.noise))
-            for (first, last), start in zip(flights.spans.values(), starts, strict=True):
-                window = Window(number, first, last, start=start)
-                explained = search.fit_alone(window)
-                (search.windows if explained else search.left_out).append(
-                    replace(window, start=window.start if explained else start)
-                )
-        if not any(window.recording == number for window in search.windows):
-            _cut(search, number, state_at(recording))
-    search.link()
-
-
-def _cut(search: Search, number: int, state: Array) -> None:
-    """Cut a recording into windows, each from the end of the one before it, until too much is not explained."""
-    recording, parameters = search.recordings[number], search.parameters
-    first, end, skipped, steps = 0, state, 0, len(recording.states) - 1
-    while first < steps:
-        window = next_window(recording, number, first, end, parameters, search.numbers)
-        if window is None:  # at rest
-            window = Window(number, first, min(first + max(1, round(_REST_SKIPPED / recording.dt)), steps), start=end)
-            search.resting_steps[number] += window.last - first
-            end = end_state(recording, window, parameters, search.numbers)
-        elif _appended(search, search.windows, window):
-            end = end_state(recording, window, parameters, search.numbers)
-        else:  # the model's state is no guess, but of what is not observed soon
-            skipped += window.last - first
-            if skipped > MOST_SKIPPED * steps:
-                return
-            end, observed = end_state(recording, window, parameters, search.numbers), recording.states[window.last :]
-            near = np.flatnonzero(np.isfinite(observed[:_SOON]).any(axis=0)) % RATES
-            end = np.where(np.isin(np.arange(12) % RATES, near), state_at(recording, window.last), end)
-        first = window.last
+            middles = zip(flights.middles.tolist(), starts, strict=True)
+            seeds = [Window(number, first, first + 1, start=start) for first, start in middles] + seeds
+        windows, left_out = search.windows, search.left_out
+        search.numbers, search.windows, search.left_out = search.parameters.of(search.parameters.start), [], seeds
+        go_on(search)
+        search.windows, search.left_out = [*windows, *search.windows], [*left_out, *search.left_out]

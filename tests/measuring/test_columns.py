@@ -144,6 +144,13 @@ def test_moments_and_durations_are_times(header: str, times: Any, from_first: bo
     assert recording.notes == ("times count from the first row, at 1767607200 s",) * from_first
 
 
+def test_zeros_of_a_jack_that_is_elsewhere_are_lost_frames() -> None:
+    x, y = [0.0, 0.2, 0.0, 0.4, 0.0], [0.0, 0.1, 0.0, 0.1, 0.3]
+    recording = Recording.from_frame({"time": 0.1 * np.arange(5), "x_jack": x, "y_jack": y}, STILL)
+    np.testing.assert_array_equal(observed(recording, "x_jack"), [0.0, 0.2, math.nan, 0.4, 0.0])
+    assert recording.notes == ("x_jack and y_jack are 0 in 1 rows, as of lost frames, which are left open",)
+
+
 def test_masked_values_were_not_observed() -> None:
     seen = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
     recording = Recording.from_frame({"time": [0.0, 0.1, 0.2], "x_jack": seen}, STILL)

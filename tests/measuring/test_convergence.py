@@ -99,10 +99,8 @@ def test_a_wrong_box_mass_is_a_problem_unless_its_inertia_follows() -> None:
     fitted = fit(recording, FIELDS, start)  # the same motion, of masses that are 1.03 times as large
     assert fitted.problems == ()
     assert fitted.scene.jack_mass == pytest.approx(1.03 * 0.08, rel=0.01)
-    relative = "jack_mass and jack_inertia are relative to box_mass as given"
-    assert fitted.unidentified == (
-        f"without a torque or a force on the box only ratios of masses are known: {relative}",
-    )
+    given = "jack_inertia and jack_mass by those that are given"
+    assert fitted.unidentified == (f"without a torque or a force on the box only ratios of masses are known: {given}",)
     problems = fit(recording, FIELDS, start.changed(box_inertia=LAB.box_inertia)).problems
     assert any(
         "something else that is not fitted, is wrong: another value would fit better by" in one for one in problems
@@ -164,17 +162,15 @@ def far(scene: Scene) -> Scene:
 def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
     recording, rng = filmed(LAB, 1.7), np.random.default_rng(2)
     rows = np.sort(rng.choice(np.arange(1, len(recording.states)), 20, replace=False))  # of 103; not 42 to 44
-    recording.states[rows, 3:6] = 0.0
+    recording.states[rows, 3:6] = np.nan
     recording.states[43, 3] += 0.05
     fitted = fit(recording, FIELDS, far(LAB))
     assert fitted.problems == ()
     assert fitted.scene.jack_mass == pytest.approx(LAB.jack_mass, rel=0.01)
     assert fitted.scene.restitution == pytest.approx(LAB.restitution, abs=0.005)
     assert any(sentence.startswith("row 43: x_jack is 0.05") for sentence in fitted.bad_rows), fitted.bad_rows
-    lost = [f"row {row}: x_jack and y_jack are 0, as of a lost frame" for row in rows.tolist()]
-    assert {*lost} <= {*fitted.bad_rows}, fitted.bad_rows
-    assert len(fitted.bad_rows) <= 23
-    recording.states[rows[::2], 3] = 0.1  # 10 rows
+    assert len(fitted.bad_rows) <= 3
+    recording.states[rows[::2], 3:6] = 0.1  # 10 rows
     problems = fit(recording, FIELDS, LAB).problems
     assert any("rows are off the jack's path" in problem for problem in problems), problems
 
@@ -196,7 +192,7 @@ def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
         assert fitted.unexplained < 0.1
         assert fitted.scene.jack_mass == pytest.approx(lossy.jack_mass, rel=0.02)
         assert fitted.scene.restitution == pytest.approx(lossy.restitution, abs=0.01)
-    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=1e-4)
+    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=2e-3)
 
 
 def test_a_recording_of_which_nothing_agrees_is_a_problem_and_counts_no_window_twice() -> None:
