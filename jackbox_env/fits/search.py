@@ -21,7 +21,7 @@ from jackbox_env.model.states import THETA_JACK, Array
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _LEAST_SHARE = 0.05  # of observations that the unknowns leave
 LINK_SLACKS = (1.0, 0.01, 1e-4)  # from loose to tight, over the smallest noise
-BLOCK = 12  # windows fitted together while a recording is cut
+BLOCK = 6  # windows fitted together while a recording is cut
 _PRIOR_WIDTH, _PRIOR_ANGLE = 1.0, 0.5  # standard deviations, of logarithms of fields, of an unobserved angle [rad]
 _FIXED = 1e-9  # the same of fields that are not free
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state

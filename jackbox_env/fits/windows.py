@@ -25,7 +25,7 @@ def go_on(search: Search) -> None:
     for seed, first in seeds:
         recording, number, begin = search.recordings[seed.recording], seed.recording, first
         others = [one for one in search.windows if one.recording == number and one.last > first]
-        if any(one.first < first for one in others):
+        if any(one.first <= first for one in others):
             continue
         chain = [seed] if first == seed.last else []
         end = end_state(recording, seed, search.parameters, search.numbers) if chain else seed.start
