@@ -165,7 +165,7 @@ def _squares(sums: Array) -> Array:
 
 def impacts_of(
     recording: Recording, scene: Scene, flights: Flights, noise: Array
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Indices, Indices]:
     """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity.
 
     Their times since the recording's begin [s], (n,); the jack's places with the fall added, (n, 2); the states before,
