@@ -48,7 +48,6 @@ class Flights(NamedTuple):
     last: Indices  # row, in the flight
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
-    scatter: Array  # standard deviation of these lines at the middle of a flight, in the noise's, (n,)
     middles: Indices  # rows, of the lasting flights; of the first its begin
     # Rows from the middle of a lasting flight to the next one's, if that follows after an impact or a short hop.
     flown: list[tuple[int, int]]
@@ -81,11 +80,13 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     times = rows * recording.dt
     first = _merged(times, straight[rows, _JACK] / noise[_JACK])
     ends = np.append(first[1:], len(rows))
-    least = shortest(recording, scene, noise)
+    # Half the acceleration of a flight [m/s^2], or one that is slow in the box; and how long gives it to a sixth.
+    fall = max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
+    least = max(brief(scene), float((180.0 * (_FALLING * noise[Y_JACK] / fall) ** 2 * recording.dt) ** 0.2))
     enough = ends - first >= _LEAST_ROWS
     first, ends = first[enough], ends[enough]
     lasting = times[ends - 1] - times[first] >= least
-    lines, scatter = np.full((len(first), RATES, 2), np.nan), 1.0 / np.sqrt(ends - first)
+    lines = np.full((len(first), RATES, 2), np.nan)
     for index, (begin, end) in enumerate(zip(first.tolist(), ends.tolist(), strict=True)):
         within = slice(begin, end)
         off = times[within] - times[within].mean()
@@ -97,7 +98,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
                 lines[index, column] = value - slope * times[within].mean(), slope
         if lasting[index]:
             bend = np.polyfit(off, straight[rows[within], X_JACK : Y_JACK + 1], 2)[0]
-            lasting[index] = np.hypot(*bend) < _BENT * _fall(scene)
+            lasting[index] = np.hypot(*bend) < _BENT * fall
     first, last = rows[first], rows[ends - 1]
     long = np.flatnonzero(lasting)
     if not len(long):
@@ -106,18 +107,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     middles[0] = first[long[0]]
     near = first[long[1:]] - last[long[:-1]] <= max(_CLOSE, least / recording.dt)
     flown = [pair for pair, close in zip(pairwise(middles.tolist()), near, strict=True) if close]
-    return Flights(first, last, lasting, lines, scatter, middles, flown)
-
-
-def shortest(recording: Recording, scene: Scene, noise: Array) -> float:
-    """Duration [s] of a flight whose rows give its acceleration to a sixth; what is shorter may be rest."""
-    spread = 180.0 * (_FALLING * noise[Y_JACK] / _fall(scene)) ** 2 * recording.dt
-    return max(brief(scene), float(spread**0.2))
-
-
-def _fall(scene: Scene) -> float:
-    """Half the acceleration of a flight [m/s^2]; without gravity, one that is slow in the box."""
-    return max(0.5 * scene.gravity, 1e-3 * scene.box_half_width)
+    return Flights(first, last, lasting, lines, middles, flown)
 
 
 def spikes_of(recording: Recording, scene: Scene, noise: Array) -> list[int]:
@@ -173,18 +163,14 @@ def _squares(sums: Array) -> Array:
     return result
 
 
-class Impacts(NamedTuple):
-    """Impacts between neighbouring flights: when, where and of what."""
+def impacts_of(
+    recording: Recording, scene: Scene, flights: Flights, noise: Array
+) -> tuple[Array, Array, Array, Indices, Indices]:
+    """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity.
 
-    times: Array  # since the recording's begin [s], (n,)
-    places: Array  # of the jack, with the fall added, (n, 2)
-    states: Array  # before, (n, 12); the box's centre NaN if unobserved
-    walls: Indices
-    feet: Indices
-
-
-def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Impacts:
-    """The impacts between flights that follow each other closely, if a wall explains the jack's change of velocity."""
+    Their times since the recording's begin [s], (n,); the jack's places with the fall added, (n, 2); the states before,
+    (n, 12), NaN where the box was not seen; walls and feet, (n,).
+    """
     close = flights.first[1:] - flights.last[:-1] <= _CLOSE
     near = np.flatnonzero(close & (flights.lasting[1:] | flights.lasting[:-1]))
     before, after, dt = flights.lines[near], flights.lines[near + 1], recording.dt
@@ -201,7 +187,7 @@ def impacts_of(recording: Recording, scene: Scene, flights: Flights, noise: Arra
     struck = (along / np.linalg.norm(kick, axis=1)[:, None]).round(6) * 1e6 - gaps.reshape(-1, 16) / scene.jack_arm
     contact = struck.argmax(axis=1)  # the wall by its normal, then the foot that is deepest
     usable = (late < 0.0) & (along.max(axis=1) > _STRAIGHT * np.linalg.norm(kick, axis=1))
-    return Impacts(*(part[usable] for part in (times, places, states, walls[contact], feet[contact])))
+    return times[usable], places[usable], states[usable], walls[contact][usable], feet[contact][usable]
 
 
 def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Array:
@@ -213,26 +199,19 @@ def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Ar
     return states
 
 
-class Centre(NamedTuple):
-    """The motion of the centre of box and jack together, over the box's mass, and with the fall added."""
+def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Array:
+    """The motion of the centre of box and jack together, over the box's mass and with the fall added.
 
-    place: Array  # at the recording's begin [m], (2,)
-    drift: Array  # its rate, (2,)
-    ratio: float  # jack_mass / box_mass
-
-
-def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Centre:
-    """The motion of the centre by a regression over the impacts.
+    Its place at the recording's begin [m], its rate, and jack_mass / box_mass, shape (5,); a regression over impacts.
 
     Nothing but the jack pushes the box's centre, so that of both masses moves straight, with the fall added. At an
     impact a foot is at a wall. Both are linear in that centre's motion and the ratio of the masses.
     """
-    impacts = impacts_of(recording, scene, flights, noise)
-    origin = impacts.states.copy()
+    times, places, origin, walls, feet = impacts_of(recording, scene, flights, noise)
     origin[:, X_BOX : Y_BOX + 1] = 0.0
-    gaps, gradients = contacts_of(scene, origin, impacts.walls, impacts.feet)
-    normals, positions = gradients[:, :2], impacts.places
-    equations = normals, normals * impacts.times[:, None], -(normals * positions).sum(axis=1)[:, None]
+    gaps, gradients = contacts_of(scene, origin, walls, feet)
+    normals = gradients[:, :2]
+    equations = normals, normals * times[:, None], -(normals * places).sum(axis=1)[:, None]
     scale = float(np.hypot(noise[X_JACK], scene.jack_arm * noise[THETA_JACK]))
     rows, known = [np.concatenate(equations, axis=1) / scale], [-gaps / scale]
     middle = 0.5 * (flights.first + flights.last) * recording.dt
@@ -241,7 +220,7 @@ def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array
         seen = np.isfinite(at[:, axis])
         block = np.zeros((int(seen.sum()), rows[0].shape[1]))
         block[:, axis], block[:, 2 + axis], block[:, 4] = 1.0, middle[seen], -at[seen, X_JACK + axis]
-        deviations = noise[axis] * flights.scatter[seen, None]
+        deviations = noise[axis] / np.sqrt(flights.last - flights.first + 1.0)[seen, None]
         rows.append(block / deviations)
         known.append(at[seen, axis] / deviations[:, 0])
     size, ratio = scene.box_half_width, scene.jack_mass / scene.box_mass
@@ -250,15 +229,16 @@ def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array
     widths = np.array([9.0 * size] * 2 + [9.0 * scene.speed_scale] * 2 + [2.0 * ratio])
     rows.append(np.diag(1.0 / widths))
     known.append(prior / widths)
-    solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0]
-    return Centre(solved[:2], solved[2:4], float(max(solved[4], 1e-9)))
+    centre: Array = np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0]
+    return centre
 
 
-def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Centre) -> Array:
+def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Array) -> Array:
     """States on the lines of lasting flights in their middles, in the box that the centre leaves, (n, 12)."""
     times, lines = flights.middles * recording.dt, flights.lines[flights.lasting]
     straight, rates = lines[:, _PLACE, 0] + lines[:, _PLACE, 1] * times[:, None], lines[:, _PLACE, 1]
     states = state_on(recording, scene, lines, times)
-    states[:, X_BOX : Y_BOX + 1] = centre.place + np.multiply.outer(times, centre.drift) - centre.ratio * straight
-    states[:, VX_BOX : VY_BOX + 1] = centre.drift - centre.ratio * rates
+    place, drift, ratio = centre[:2], centre[2:4], max(centre[4], 1e-9)
+    states[:, X_BOX : Y_BOX + 1] = place + np.multiply.outer(times, drift) - ratio * straight
+    states[:, VX_BOX : VY_BOX + 1] = drift - ratio * rates
     return states

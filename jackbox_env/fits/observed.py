@@ -71,8 +71,7 @@ class Recording:
         count, one = (len(self.states) - 1, "step") if torque == "held" else (len(self.states), "state")
         self.torques = None if torques is None else _finite("torques", torques)
         shape = (count,) if self.torques is None else self.torques.shape
-        in_parts = torque == "held" and len(shape) == 2 and shape[0] == count and shape[1] > 0
-        if not (shape == (count,) or in_parts):
+        if shape[0] != count or len(shape) > (2 if torque == "held" else 1) or 0 in shape:
             raise ValueError(f"torques must have shape ({count},), one for each {one}, got {shape}")
         if self.torques is not None and torque != "held":
             self.torques = torques_between(self.torques, torque)

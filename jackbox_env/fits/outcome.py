@@ -158,8 +158,8 @@ def _bad_row_sentences(search: Search) -> Iterator[str]:
         off = abs(search.recorded[number].states - states)[:, X_JACK:RATES]
         away, recording = off / search.noise[X_JACK:RATES], f" of recording {number}" * (len(search.bad_rows) > 1)
         for row in sorted(rows):
-            column = X_JACK + int(np.argmax(away[row]))
             if (away[row] > _FAR).any():
+                column = X_JACK + int(np.nanargmax(away[row]))
                 text = f"{STATE_NAMES[column]} is {off[row, column - X_JACK]:.2g} {STATE_UNITS[column]} off"
                 yield f"row {row}{recording}: {text}"
 

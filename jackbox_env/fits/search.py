@@ -20,9 +20,8 @@ from jackbox_env.model.states import THETA_JACK, Array
 
 _NOISE_FLOOR = 1e-9  # of an estimate, in units of the state; rounding grows to about this within a window
 _LEAST_SHARE = 0.05  # of observations that the unknowns leave
-_NOISE_WITHOUT_STATES = 1e-4  # that scales the links' slack if only impacts were heard, in units of the state
 LINK_SLACKS = (1.0, 0.01, 1e-4)  # from loose to tight, over the smallest noise
-_BLOCK, _INCOMPLETE_BLOCK = 4, 12  # windows fitted together while a recording is cut; the second if numbers are missing
+BLOCK = 6  # windows fitted together while a recording is cut
 _PRIOR_WIDTH, _PRIOR_ANGLE = 1.0, 0.5  # standard deviations, of logarithms of fields, of an unobserved angle [rad]
 _FIXED = 1e-9  # the same of fields that are not free
 _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of the state
@@ -51,8 +50,6 @@ class Search:
             None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
             for one in self.recordings
         ]
-        self.observed = np.isfinite(np.concatenate([one.states for one in recordings])).mean(axis=0) > 0.5
-        self.block = _BLOCK if self.observed.all() else _INCOMPLETE_BLOCK
         self.windows: list[Window] = []
         self.left_out: list[Window] = []  # that the model does not explain
         self.fewest = 1  # windows that stay
@@ -75,9 +72,8 @@ class Search:
         link(self.windows)
 
     def scaled_slack(self, slack: float) -> float:
-        """A slack in units of the state."""
-        noise = (self.noise[:12] / self.units)[self.observed]
-        return slack * float(noise.min() if len(noise) else _NOISE_WITHOUT_STATES)
+        """A slack in units of the state, over the smallest noise."""
+        return slack * float((self.noise[:12] / self.units).min())
 
     def rows(self, shooting: Shooting, slack: float) -> Rows:
         """The residuals as they are, with links of a slack."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from jackbox_env.fits.first_guess import centre_of, starts_of
 from jackbox_env.fits.observed import state_at_first
-from jackbox_env.fits.search import Search, link
+from jackbox_env.fits.search import BLOCK, Search, link
 from jackbox_env.fits.shooting import Window, end_state, next_window
 
 _SHARES = 1.0, 0.5, 0.25  # of a window that are tried until one is explained
@@ -25,7 +25,7 @@ def go_on(search: Search) -> None:
     for seed, first in seeds:
         recording, number, begin = search.recordings[seed.recording], seed.recording, first
         others = [one for one in search.windows if one.recording == number and one.last > first]
-        if any(one.first < first for one in others):
+        if any(one.first <= first for one in others):
             continue
         chain = [seed] if first == seed.last else []
         end = end_state(recording, seed, search.parameters, search.numbers) if chain else seed.start
@@ -49,11 +49,11 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
     for one in before:
         one.linked = (one.recording, one.last) == (window.recording, window.first)
     chain.append(window)
-    few = len({*map(id, [*search.windows, *chain])}) <= search.block
+    few = len({*map(id, [*search.windows, *chain])}) <= BLOCK
     start, steps = window.start, window.last - window.first
     for share in _SHARES:
         window.start, window.last = start, window.first + max(min(_LEAST, steps), round(share * steps))
-        if search.fit_block(chain[-search.block :], free=few):
+        if search.fit_block(chain[-BLOCK:], free=few):
             return True
     window.last = window.first + steps
     del chain[-1]
