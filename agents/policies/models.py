@@ -38,11 +38,11 @@ class ModelPolicy:
 
     Args:
         model: with ``predict``.
-        wrappers: what ``checked_wrapper`` returns of each; they change the observations in this order.
+        layers: VecFrameStack and VecNormalize that change the observations, in this order.
     """
 
-    def __init__(self, model: Any, wrappers: list[dict[str, Any]]) -> None:
-        self.model, self._wrappers = model, wrappers
+    def __init__(self, model: Any, layers: list[Any]) -> None:
+        self.model, self._layers = model, layers
 
     def predict(
         self,
@@ -55,18 +55,17 @@ class ModelPolicy:
         pictures = np.ndim(observation) > 2
         rows, frames = np.asarray(observation, dtype=np.uint8 if pictures else np.float32), list[NDArray[Any]]()
         rows = np.atleast_2d(rows)
-        for wrapper in self._wrappers:
-            if "stack" in wrapper:
-                size, earlier = rows.shape[1], state and state.frames[len(frames)]
-                empty = np.zeros((len(rows), size * wrapper["stack"]), np.float32)
-                stacked = empty if earlier is None else np.roll(earlier, -size, axis=1)
-                stacked[np.broadcast_to(False if episode_start is None else episode_start, len(rows))] = 0.0
-                stacked[:, -size:] = rows
-                rows = stacked
-                frames.append(stacked)
-            else:
-                scaled = (rows - wrapper["mean"]) / np.sqrt(wrapper["variance"] + wrapper["epsilon"])
-                rows = np.clip(scaled, -wrapper["clip"], wrapper["clip"]).astype(np.float32)
+        for layer in self._layers:
+            if "stacked_obs" not in vars(layer):
+                rows = layer.normalize_obs(rows)
+                continue
+            size, earlier = rows.shape[1], state and state.frames[len(frames)]
+            empty = np.zeros((len(rows), *layer.observation_space.shape), np.float32)
+            stacked = empty if earlier is None else np.roll(earlier, -size, axis=1)
+            stacked[np.broadcast_to(False if episode_start is None else episode_start, len(rows))] = 0.0
+            stacked[:, -size:] = rows
+            rows = stacked
+            frames.append(stacked)
         actions, recurrent = self.model.predict(
             rows, state=state and state.state, episode_start=episode_start, deterministic=deterministic
         )
@@ -117,8 +116,8 @@ def model_in_env(file: Path, trust: bool, changed: dict[str, Any]) -> PolicyWith
     Raises:
         FileNotFoundError, ValueError: as :func:`jackbox_env.sb3.load_model`.
     """
-    from jackbox_env.sb3.saved_models import checked_wrapper, entry_of, load_model
+    from jackbox_env.sb3.saved_models import entry_of, layers_of, load_model
 
-    (model, _), stored = load_model(file, trust=trust, **changed), entry_of(file)
-    keywords = with_objects({**PLAIN, **stored["env"], **changed})
-    return PolicyWithEnv(ModelPolicy(model, [*map(checked_wrapper, stored["wrappers"])]), keywords)
+    model, environments = load_model(file, trust=trust, **changed)
+    keywords = with_objects({**PLAIN, **entry_of(file)["env"], **changed})
+    return PolicyWithEnv(ModelPolicy(model, layers_of(environments)), keywords)

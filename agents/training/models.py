@@ -23,7 +23,7 @@ def derived_seed(purpose: str, *numbers: int) -> int:
 
 
 def make_vec_env(env_settings: dict[str, Any], num_envs: int, seed: int) -> VecEnv:
-    """Environments with the default time limit; i starts from ``seed`` + i."""
+    """Environments; i starts from ``seed`` + i."""
     environments = make_sb3_vec_env(num_envs, **env_settings)
     environments.seed(seed)
     return environments

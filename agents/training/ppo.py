@@ -43,7 +43,7 @@ PICTURED_SCALE = 0.01
 class ScaledEnvironments(JackInBoxVecEnv):
     """Environments whose rewards are multiplied by ``scale``."""
 
-    scale = 1.0
+    scale: float
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step."""
@@ -163,8 +163,7 @@ def _resumed(settings: TrainSettings, folder: Path) -> PPO:
     done, parameters = latest_checkpoint(folder)
     starts = derived_seed("training", settings.seed, done)
     environments = ScaledEnvironments(settings.num_envs, **settings.env_settings)
-    if settings.pixels:
-        environments.scale = PICTURED_SCALE
+    environments.scale = PICTURED_SCALE if settings.pixels else 1.0
     model = make_ppo(settings, environments)
     environments.seed(starts)  # PPO has seeded them by its own seed
     if parameters is not None:

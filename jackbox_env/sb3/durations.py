@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium.vector.utils import concatenate, create_empty_array
 
 from jackbox_env.tools import checks as check
 
@@ -70,7 +71,8 @@ class Durations(BaseCallback):
         buffer.durations[buffer.pos] = durations
         cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
         if cut:
-            last = model.policy.obs_to_tensor(np.stack([infos[number]["terminal_observation"] for number in cut]))[0]
+            space, seen = model.observation_space, [infos[number]["terminal_observation"] for number in cut]
+            last = model.policy.obs_to_tensor(concatenate(space, seen, create_empty_array(space, len(seen))))[0]
             memory = list[Any]()
             if "lstm_states" in self.locals:  # of RecurrentPPO
                 memory += [

@@ -179,29 +179,29 @@ def wrapped(environments: VecEnv, wrappers: list[dict[str, Any]]) -> VecEnv:
     """Environments in the wrappers of an entry, the innermost first; raises an exception if these do not fit."""
     if wrappers and len(environments.observation_space.shape or ()) > 1:
         raise ValueError("its observations are pixels, which env.json cannot stack or scale")
-    for wrapper in map(checked_wrapper, wrappers):
+    for wrapper in wrappers:
         if "stack" in wrapper:
-            environments = VecFrameStack(environments, wrapper["stack"])
+            count = check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)
+            environments = VecFrameStack(environments, count)
             continue
-        (count,) = environments.observation_space.shape or ()
-        mean, limits = wrapper["mean"], {"clip_obs": wrapper["clip"], "epsilon": wrapper["epsilon"]}
-        if mean.shape != (count,):
-            raise ValueError(f"mean and variance must be {count} numbers, as are observed, got {mean}")
-        environments = VecNormalize(environments, training=False, norm_reward=False, **limits)
+        mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
+        shape = environments.observation_space.shape
+        if not (mean.shape == variance.shape == shape and np.isfinite(mean).all() and (variance >= 0.0).all()):
+            raise ValueError(f"mean and variance must be arrays of shape {shape}, at least 0 in the variance")
+        clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
+        environments = VecNormalize(environments, False, norm_reward=False, clip_obs=clip, epsilon=epsilon)
         statistics: Any = environments.obs_rms
-        statistics.mean, statistics.var = mean, wrapper["variance"]
+        statistics.mean, statistics.var = mean, variance
     return environments
 
 
-def checked_wrapper(wrapper: dict[str, Any]) -> dict[str, Any]:
-    """A wrapper as env.json has it, its statistics as arrays; raises an exception if it is something else."""
-    if "stack" in wrapper:
-        return {"stack": check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)}
-    mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
-    if mean.ndim != 1 or variance.shape != mean.shape or not (np.isfinite(mean).all() and (variance >= 0.0).all()):
-        raise ValueError("mean and variance must be as many numbers as are observed, at least 0 in the variance")
-    clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))
-    return {"mean": mean, "variance": variance, "clip": clip, "epsilon": epsilon}
+def layers_of(environments: VecEnv | None) -> list[Any]:
+    """The wrappers of environments, the innermost first."""
+    layers = list[VecEnvWrapper]()
+    while isinstance(environments, VecEnvWrapper):
+        layers.insert(0, environments)
+        environments = environments.venv
+    return layers
 
 
 def entry_of(file: Path) -> dict[str, Any]:
@@ -240,15 +240,6 @@ def read_stored(path: Path) -> dict[str, dict[str, Any]]:
     return entries
 
 
-def statistics_of(normalize: VecNormalize) -> dict[str, Any]:
-    """How ``VecNormalize`` changes observations, for JSON."""
-    statistics: Any = normalize.obs_rms
-    return {
-        "mean": statistics.mean.tolist(), "variance": statistics.var.tolist(), "clip": float(normalize.clip_obs),
-        "epsilon": float(normalize.epsilon),
-    }  # fmt: skip
-
-
 def _algorithm_of(kind: type) -> str:
     """``module:class`` of a model's algorithm; for a subclass elsewhere, of that which it derives from."""
     for one in kind.__mro__:
@@ -281,15 +272,18 @@ def _spec_of(environments: VecEnv | None) -> EnvSpec:
 def _wrappers_of(environments: VecEnv | None) -> list[dict[str, Any]]:
     """The wrappers that change observations, the innermost first, for JSON."""
     stored = list[dict[str, Any]]()
-    while isinstance(environments, VecEnvWrapper):
-        if isinstance(environments, VecNormalize):
-            stored += [statistics_of(environments)] * environments.norm_obs
-        elif isinstance(environments, VecFrameStack):
-            stored.append({"stack": environments.stacked_obs.n_stack})
-        elif type(environments).__name__ not in _WITHOUT_EFFECT:
-            raise _refused({type(environments).__name__})
-        environments = environments.venv
-    return stored[::-1]
+    for layer in layers_of(environments):
+        if isinstance(layer, VecNormalize):
+            if layer.norm_obs:
+                stored.append({
+                    "mean": layer.obs_rms.mean.tolist(), "variance": layer.obs_rms.var.tolist(),
+                    "clip": float(layer.clip_obs), "epsilon": float(layer.epsilon),
+                })  # fmt: skip
+        elif isinstance(layer, VecFrameStack):
+            stored.append({"stack": layer.stacked_obs.n_stack})
+        elif type(layer).__name__ not in _WITHOUT_EFFECT:
+            raise _refused({type(layer).__name__})
+    return stored
 
 
 def _refused(wrappers: set[str]) -> ValueError:

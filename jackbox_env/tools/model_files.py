@@ -24,7 +24,7 @@ MOST_WEIGHTS = 20_000_000  # of one network; there are two
 
 
 def model_in(path: Path) -> Path:
-    """The best model of a run folder, else its last; or ``path`` itself if it is a model file.
+    """The best model of a run folder, else its last; or ``path`` itself if it is a model file, also without ``.zip``.
 
     A damaged best model is skipped, with a note on standard error.
 
@@ -32,11 +32,11 @@ def model_in(path: Path) -> Path:
         FileNotFoundError: there is no model.
         ValueError: the file is that of an exported policy.
     """
-    file = path
+    file = path if path.suffix or path.exists() else path.with_suffix(".zip")
     if path.is_dir():
         file = path / BEST if is_whole(path / BEST) else path / MODEL
     if not file.is_file():
-        raise FileNotFoundError(f"{path} has no model: neither {BEST} nor {MODEL}")
+        raise FileNotFoundError(f"there is no model file {file}")
     if file.suffix == ".npz":
         raise ValueError(f"{file} has only weights: pass its folder, {file.parent}")
     return file

@@ -102,7 +102,7 @@ def test_a_saved_model_earns_what_it_earns_where_it_was_trained(
     for layer in (envs, getattr(envs, "venv", None)):
         if isinstance(layer, VecNormalize):
             layer.training = layer.norm_reward = False
-    for actor, its in ((model, envs), load_model(tmp_path / "model.zip", COUNT, trust=True)):
+    for actor, its in ((model, envs), load_model(tmp_path / "model", COUNT, trust=True)):
         its.seed(derived_seed("evaluation", 7))
         assert evaluate_policy(actor, its, 5, return_episode_rewards=True)[0] == list(saved.returns)
     assert len(set(saved.returns)) == 5

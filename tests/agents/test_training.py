@@ -87,33 +87,40 @@ FLOATING = replace(
 class Bandit(gym.Env[Any, Any]):
     """Long decisions earn more each, short ones more a second: the discount decides."""
 
-    observation_space, action_space = gym.spaces.Box(0.0, 1.0, (1,)), gym.spaces.Box(-1.0, 1.0, (1,))
+    observation_space: Any = gym.spaces.Box(0.0, 1.0, (1,))
+    action_space, seen = gym.spaces.Box(-1.0, 1.0, (1,)), np.ones(1, np.float32)
 
     def reset(self, **_: Any) -> Any:
         self.decisions = 0
-        return np.ones(1, np.float32), {}
+        return self.seen, {}
 
     def step(self, action: Any) -> Any:
         self.decisions += 1
         longer = float(action[0])
-        return np.ones(1, np.float32), 1.4 + 0.4 * longer, False, self.decisions >= 8, {"duration": 2.0 + longer}
+        return self.seen, 1.4 + 0.4 * longer, False, self.decisions >= 8, {"duration": 2.0 + longer}
+
+
+class NamedBandit(Bandit):
+    """Its observations are dicts."""
+
+    observation_space, seen = gym.spaces.Dict({"one": Bandit.observation_space}), {"one": Bandit.seen}
 
 
 BANDITS: dict[str, Any] = {
-    "PPO": partial(PPO, n_steps=64, n_epochs=5),
-    "SAC": partial(SAC, tau=0.05, learning_starts=64, gradient_steps=4, ent_coef=0.02),
+    "PPO": (NamedBandit, partial(PPO, "MultiInputPolicy", n_steps=64, n_epochs=5)),
+    "SAC": (Bandit, partial(SAC, "MlpPolicy", tau=0.05, learning_starts=64, gradient_steps=4, ent_coef=0.02)),
 }
 
 
 @pytest.mark.parametrize("name", BANDITS)
 def test_the_discount_by_elapsed_time_picks_the_right_arm(name: str, tmp_path: Path) -> None:
-    chosen = list[float]()
+    chosen, (kind, make) = list[float](), BANDITS[name]
     common: dict[str, Any] = {"gamma": 0.8, "batch_size": 64, "learning_rate": 3e-3, "seed": 0, "device": "cpu"}
     for callback in (None, Durations()):
-        model = BANDITS[name]("MlpPolicy", DummyVecEnv([Bandit] * 4), policy_kwargs={"net_arch": [16]}, **common)
+        model = make(env=DummyVecEnv([kind] * 4), policy_kwargs={"net_arch": [16]}, **common)
         model.learn(2048 if name == "PPO" else 1000, callback=callback)
         model.save(tmp_path / "model.zip")
-        chosen.append(float(type(model).load(tmp_path / "model.zip").predict(np.ones(1), deterministic=True)[0][0]))
+        chosen.append(float(type(model).load(tmp_path / "model.zip").predict(kind.seen, deterministic=True)[0][0]))
     assert chosen[0] > 0.5, "with one discount per decision the long arm is best"
     assert chosen[1] < -0.5
 

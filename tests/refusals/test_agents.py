@@ -246,7 +246,7 @@ RUNS = [
     Refusal(
         lambda _: load_model(Path("run")),
         FileNotFoundError,
-        "run has no model: neither best_model.zip nor model.zip",
+        "there is no model file run/model.zip",
         files({"run/a": ""}),
     ),
     Refusal(

@@ -212,7 +212,7 @@ def misfit(sentence: str, option: str) -> Refusal:
     return Refusal(evaluates, SystemExit, sentence, Subject(folder, lambda path: fill(path, stored()), contents))
 
 
-STATISTICS = {"mean": [0.0], "variance": [], "clip": 1.0, "epsilon": 1e-8}
+STATISTICS = {"mean": [0.0] * 10, "variance": [], "clip": 1.0, "epsilon": 1e-8}
 DAMAGED: tuple[dict[str, Any], ...] = ({}, {"missing": 5}, {"missing": "abc"}, {"env": []})
 BESIDE = "env.json: model.zip must have algorithm (str), env (dict), missing (list)"
 MODELS = [
@@ -237,13 +237,13 @@ MODELS = [
     ),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
-        "must be as many numbers as are observed, at least 0 in the variance",
+        "must be arrays of shape (10,), at least 0 in the variance",
         wrappers=[STATISTICS],
     ),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
-        "must be as many numbers as are observed, at least 0 in the variance",
-        wrappers=[{**STATISTICS, "variance": [-1.0]}],
+        "must be arrays of shape (10,), at least 0 in the variance",
+        wrappers=[{**STATISTICS, "variance": [-1.0] * 10}],
     ),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: stack must be a whole "
@@ -269,8 +269,8 @@ MODELS = [
     damaged("model.zip was trained with a 5 that env.json cannot store: load it with 5=..., or ...", missing=[5]),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
-        "must be 20 numbers, as are observed, got [0.]",
-        wrappers=[{"stack": 2}, {**STATISTICS, "variance": [1.0]}],
+        "must be arrays of shape (20,), at least 0 in the variance",
+        wrappers=[{"stack": 2}, {**STATISTICS, "variance": [1.0] * 10}],
     ),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: Pixels must be at "

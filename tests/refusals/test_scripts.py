@@ -63,7 +63,7 @@ COMMANDS = [
         evaluates("--policy", str(SHIPPED / "juggle-ppo" / "weights.npz")),
         f"{SHIPPED}/juggle-ppo/weights.npz has only weights: pass its folder, {SHIPPED}/juggle-ppo",
     ),
-    refused(evaluates("--policy", "/dev/null"), "/dev/null has no model: neither best_model.zip nor model.zip"),
+    refused(evaluates("--policy", "/dev/null"), "there is no model file /dev/null"),
     refused(
         evaluates("--policy", "level", "--env", "action_repeat=4"),
         "--env action_repeat is for model files and functions, got level",
