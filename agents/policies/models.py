@@ -9,6 +9,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +30,7 @@ ENV_KEYWORDS = (
 class RecurrentState(NamedTuple):
     """The recurrent state of a model in n environments."""
 
-    frames: list[NDArray[Any]]  # (n, k * numbers) of each VecFrameStack
+    frames: list[NDArray[Any]]  # (n, k * numbers) of each VecFrameStack, or (n, h, w, k * channels)
     state: Any  # of the model's own
 
 
@@ -38,11 +39,12 @@ class ModelPolicy:
 
     Args:
         model: with ``predict``.
+        space: of an observation.
         layers: VecFrameStack and VecNormalize that change the observations, in this order.
     """
 
-    def __init__(self, model: Any, layers: list[Any]) -> None:
-        self.model, self._layers = model, layers
+    def __init__(self, model: Any, space: gym.Space[Any], layers: list[Any]) -> None:
+        self.model, self._space, self._layers = model, space, layers
 
     def predict(
         self,
@@ -52,24 +54,23 @@ class ModelPolicy:
         deterministic: bool = True,
     ) -> tuple[Actions, RecurrentState]:
         """The model's actions; see :class:`.scripted.Policy`."""
-        pictures = np.ndim(observation) > 2
-        rows, frames = np.asarray(observation, dtype=np.uint8 if pictures else np.float32), list[NDArray[Any]]()
-        rows = np.atleast_2d(rows)
+        shape: Any = self._space.shape
+        rows, frames = np.asarray(observation, self._space.dtype).reshape(-1, *shape), list[NDArray[Any]]()
         for layer in self._layers:
             if "stacked_obs" not in vars(layer):
                 rows = layer.normalize_obs(rows)
                 continue
-            size, earlier = rows.shape[1], state and state.frames[len(frames)]
-            empty = np.zeros((len(rows), *layer.observation_space.shape), np.float32)
-            stacked = empty if earlier is None else np.roll(earlier, -size, axis=1)
-            stacked[np.broadcast_to(False if episode_start is None else episode_start, len(rows))] = 0.0
-            stacked[:, -size:] = rows
+            size, earlier = rows.shape[-1], state and state.frames[len(frames)]
+            empty = np.zeros((len(rows), *layer.observation_space.shape), rows.dtype)
+            stacked = empty if earlier is None else np.roll(earlier, -size, axis=-1)
+            stacked[np.broadcast_to(False if episode_start is None else episode_start, len(rows))] = 0
+            stacked[..., -size:] = rows
             rows = stacked
             frames.append(stacked)
         actions, recurrent = self.model.predict(
             rows, state=state and state.state, episode_start=episode_start, deterministic=deterministic
         )
-        return actions[0] if np.ndim(observation) == 1 else actions, RecurrentState(frames, recurrent)
+        return actions[0] if np.shape(observation) == shape else actions, RecurrentState(frames, recurrent)
 
 
 def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> PolicyWithEnv:
@@ -120,4 +121,6 @@ def model_in_env(file: Path, trust: bool, changed: dict[str, Any]) -> PolicyWith
 
     model, environments = load_model(file, trust=trust, **changed)
     keywords = with_objects({**PLAIN, **entry_of(file)["env"], **changed})
-    return PolicyWithEnv(ModelPolicy(model, layers_of(environments)), keywords)
+    return PolicyWithEnv(
+        ModelPolicy(model, environments.unwrapped.observation_space, layers_of(environments)), keywords
+    )

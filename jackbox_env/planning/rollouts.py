@@ -40,14 +40,7 @@ from jackbox_env.model.tasks import Task, TaskError, task_of
 from jackbox_env.planning import card
 from jackbox_env.simulators.agent_functions import CompiledFunctions
 from jackbox_env.simulators.base import end_of_step
-from jackbox_env.simulators.exact import (
-    NO_PIECES,
-    WITH_PIECES,
-    ExactSimulator,
-    cut,
-    drive_kind,
-    failure,
-)
+from jackbox_env.simulators.exact import NO_PIECES, WITH_PIECES, ExactSimulator, cut, drive_kind, failure
 from jackbox_env.simulators.plain_functions import Interface
 from jackbox_env.simulators.users_functions import compiled_for
 from jackbox_env.tools import checks as check

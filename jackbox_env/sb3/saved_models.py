@@ -47,6 +47,7 @@ _ARGUMENTS = (  # of PPO, that an entry may have, in which case only tensors are
 _BUILTIN: dict[type, Mapping[str, Any]] = {Task: TASKS, Observation: OBSERVATIONS, Action: ACTIONS}
 _PICTURES = ("render_mode", "render_size", "render_overlay")
 _MOST_BYTES = 10_000_000  # that are read of env.json
+_MOST_STACKED = 10_000_000  # numbers of a stacked observation: more could fill all memory
 
 
 def save_model(model: BaseAlgorithm, path: str | Path) -> Path:
@@ -132,7 +133,7 @@ def load_model(
     if missing := {*map(str, stored["missing"])} - keywords.keys():
         name = min(missing)
         raise ValueError(
-            f"{file} was trained with a {name} that {ENV} cannot store: load it with {name}=..., or evaluate it with "
+            f"{ENV} cannot store the {name} that {file} was trained with: load it with {name}=..., or evaluate it with "
             f"--env {name}=file.py:name"
         )
     load_trusted(file.parent.absolute(), filter(is_object, keywords.values()), trust)
@@ -177,15 +178,13 @@ def algorithm_named(name: str) -> type[BaseAlgorithm]:
 
 def wrapped(environments: VecEnv, wrappers: list[dict[str, Any]]) -> VecEnv:
     """Environments in the wrappers of an entry, the innermost first; raises an exception if these do not fit."""
-    if wrappers and len(environments.observation_space.shape or ()) > 1:
-        raise ValueError("its observations are pixels, which env.json cannot stack or scale")
     for wrapper in wrappers:
+        shape: Any = environments.observation_space.shape
         if "stack" in wrapper:
-            count = check.whole("stack", wrapper["stack"], at_least=1, at_most=1000)
-            environments = VecFrameStack(environments, count)
+            most = max(1, min(1000, _MOST_STACKED // math.prod(shape)))
+            environments = VecFrameStack(environments, check.whole("stack", wrapper["stack"], at_least=1, at_most=most))
             continue
         mean, variance = (np.array(wrapper[name], np.float64) for name in ("mean", "variance"))
-        shape = environments.observation_space.shape
         if not (mean.shape == variance.shape == shape and np.isfinite(mean).all() and (variance >= 0.0).all()):
             raise ValueError(f"mean and variance must be arrays of shape {shape}, at least 0 in the variance")
         clip, epsilon = (check.real(name, wrapper[name], at_least=0.0) for name in ("clip", "epsilon"))

@@ -7,6 +7,7 @@ import json
 import runpy
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +50,9 @@ def single(**keywords: Any) -> VecEnv:
     return DummyVecEnv([lambda: Monitor(made)])
 
 
-def trained(envs: VecEnv, steps: int = 64) -> PPO:
+def trained(envs: VecEnv, steps: int = 64, policy: str = "MlpPolicy") -> PPO:
     """A PPO that acts strongly; a little training updates statistics and stores observations."""
-    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, learning_rate=0.0, seed=0, device="cpu")
+    model = PPO(policy, envs, n_steps=32, batch_size=32, n_epochs=1, learning_rate=0.0, seed=0, device="cpu")
     network: Any = model.policy.action_net
     network.weight.data *= 100.0
     return model.learn(steps, callback=Durations())
@@ -80,6 +81,10 @@ PLAYED: dict[str, tuple[Callable[[], VecEnv], Callable[[VecEnv], Any]]] = {
     "pymunk": (lambda: make_sb3_vec_env(COUNT, action_repeat=10), trained),
     "stacked, then normalized": (lambda: VecNormalize(VecFrameStack(native(action_repeat=5), 2)), trained),
     "normalized, then stacked": (lambda: VecFrameStack(VecNormalize(native(action_repeat=5)), 2), trained),
+    "pictures, stacked": (
+        lambda: VecFrameStack(native(observation="pixels-36x36x1", action_repeat=10, episode_steps=100), 2),
+        partial(trained, policy="CnnPolicy"),
+    ),
     "SAC": (lambda: native(action_repeat=10), lambda envs: SAC("MlpPolicy", envs, buffer_size=100, device="cpu")),
     "DQN": (
         lambda: native(action="discrete", action_repeat=10),
@@ -141,7 +146,7 @@ def test_objects_without_a_name_are_warned_of_and_asked_for(tmp_path: Path) -> N
         save_model(PPO("MlpPolicy", envs), tmp_path / "model.zip")
     assert entry(tmp_path)["missing"] == ["scene", "observation", "randomize"]
     chosen: dict[str, Any] = {"scene": {}, "randomize": None}
-    with pytest.raises(ValueError, match="with a observation that env.json cannot store: .* --env observation=file"):
+    with pytest.raises(ValueError, match="cannot store the observation that .* --env observation=file"):
         find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen=chosen)
     acting = find_policy(str(tmp_path / "model.zip"), HERE, trust=True, chosen={**chosen, "observation": mine})
     assert acting.keywords["observation"] is mine

@@ -55,6 +55,13 @@ ARGUMENTS = [
         "environment creator for JackInBox-v0 with kwargs ({'contct': 'exact'})",
     ),
     Refusal(
+        lambda _: JackInBoxEnv(device="cuda"),
+        TypeError,
+        "JackInBox-v0 has no argument 'device': it accepts contact, "
+        "substeps, scene, task, control_dt, torque, render_mode, fidelity, randomize, render_size, "
+        "render_overlay, observation, action, action_repeat, episode_steps",
+    ),
+    Refusal(
         lambda _: JackInBoxEnv(num_threads=2),
         TypeError,
         "JackInBox-v0 has no argument 'num_threads': it belongs to the native vector environment: "

@@ -54,10 +54,6 @@ def monitored() -> Any:
     return started(VecMonitor(make_sb3_vec_env(2, contact="exact", max_episode_steps=1), info_keywords=("impacts",)))
 
 
-REPLAY = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
-
-
-OTHER = "Pendulum-v1"
 WITHOUT = "Durations needs environments whose infos have 'duration', got infos without"
 
 
@@ -177,10 +173,15 @@ LEARNING = [
         for model, more, kind, sentence in (
             (PPO, {"again": None}, RuntimeError, "the durations of decisions are missing: train with the callback ..."),
             (SAC, {"first": None}, ValueError, "Durations must be used from the first step on, got a model of 9 steps"),
-            (SAC, {"n_steps": 2}, TypeError, f"Durations needs {REPLAY}, got NStepReplayBuffer"),
+            (
+                SAC,
+                {"n_steps": 2},
+                TypeError,
+                "Durations needs a ReplayBuffer with n_steps=1 and without optimize_memory_usage, got NStep...",
+            ),
             (ARS, {}, TypeError, "ARS has no discount: train it without Durations"),
-            (PPO, {"envs": OTHER}, ValueError, WITHOUT),
-            (SAC, {"envs": OTHER}, ValueError, WITHOUT),
+            (PPO, {"envs": "Pendulum-v1"}, ValueError, WITHOUT),
+            (SAC, {"envs": "Pendulum-v1"}, ValueError, WITHOUT),
         )
     ),
 ]
@@ -266,7 +267,7 @@ MODELS = [
         env={"observation": "nowhere.py:x"},
     ),
     *(damaged(f"{BESIDE}, wrappers (list), got {'...' if change else '{}'}", **change) for change in DAMAGED),
-    damaged("model.zip was trained with a 5 that env.json cannot store: load it with 5=..., or ...", missing=[5]),
+    damaged("env.json cannot store the 5 that model.zip was trained with: load it with 5=..., or ...", missing=[5]),
     damaged(
         "model.zip cannot be played as env.json describes and options change: ValueError: mean and variance "
         "must be arrays of shape (20,), at least 0 in the variance",
