@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv
 from agents.settings import TrainSettings
 from jackbox_env import JackInBoxEnv
-from jackbox_env.simulators.fidelity import FURTHER, KEYWORDS
+from jackbox_env.envs.settings import completed
+from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.user_code import is_object, with_objects
 from jackbox_env.tools.user_code import load as load_code
@@ -91,7 +92,7 @@ def picture_policy(settings: TrainSettings, parameters: Mapping[str, Any]) -> Po
 def keywords_of(words: Iterable[str]) -> dict[str, Any]:
     """Keywords of the environment from words ``name=value``: a value is JSON, a name, or ``file.py:name``, then loaded.
 
-    Those that choose the contact model come together, and the control steps of an episode are not cut by its decisions.
+    They are completed by :func:`jackbox_env.envs.settings.completed`.
 
     Raises:
         ValueError: a word is not of that form, or the environment has no such keyword.
@@ -106,9 +107,7 @@ def keywords_of(words: Iterable[str]) -> dict[str, Any]:
             keywords[name] = json.loads(value)
     check.known_keys("--env", keywords, ENV_KEYWORDS)
     load_code(filter(is_object, keywords.values()))
-    contact = dict.fromkeys(KEYWORDS if keywords.keys() & {*KEYWORDS} else ())
-    uncut = dict.fromkeys(["max_episode_steps"] * ("episode_steps" in keywords))
-    return {**contact, **uncut, **keywords}
+    return completed(keywords)
 
 
 def model_in_env(file: Path, trust: bool, changed: dict[str, Any]) -> PolicyWithEnv:

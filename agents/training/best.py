@@ -20,11 +20,6 @@ from jackbox_env.tools.model_files import BEST, is_whole
 from jackbox_env.tools.reading import DamagedFileError, parsing, report_skipped, unpacked_arrays
 
 
-def choosing_seed(settings: TrainSettings) -> int:
-    """Seed of the evaluation that chooses the best model: neither training nor the final evaluation uses its starts."""
-    return derived_seed("choosing", settings.seed)
-
-
 class Evaluations(NamedTuple):
     """The arrays in evaluations.npz, named as Stable-Baselines3 names them; one entry per evaluation."""
 
@@ -67,7 +62,8 @@ class KeepBest(BaseCallback):
         self._evaluations = Evaluations(*(column[:count] for column in earlier))
         self._every = max(1, settings.eval_steps // settings.num_envs)
         num_envs = min(settings.num_envs, settings.eval_episodes)
-        self._environments = make_vec_env(settings.env_settings, num_envs, choosing_seed(settings))
+        self._starts = derived_seed("choosing", settings.seed)  # neither training nor the final evaluation uses them
+        self._environments = make_vec_env(settings.env_settings, num_envs, self._starts)
 
     def _init_callback(self) -> None:
         # evaluate at the same steps as an uninterrupted run
@@ -81,7 +77,7 @@ class KeepBest(BaseCallback):
     def _evaluate(self) -> None:
         assert isinstance(self.model, PPO)
         self._checkpoint.save()
-        self._environments.seed(choosing_seed(self._settings))  # the same starts every time
+        self._environments.seed(self._starts)  # the same starts every time
         returns, lengths = evaluate_policy(
             self.model, self._environments, self._settings.eval_episodes, return_episode_rewards=True
         )

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
+from jackbox_env.simulators.fidelity import KEYWORDS
 from jackbox_env.tools import checks as check
 
 # Properties of environments that something else changes.
@@ -18,6 +19,15 @@ _INSTEAD = {
     "states": "set_states changes them", "times": "set_states changes them",
     "observation": "make a new environment with observation=...", "np_random": "reset(seed=...) seeds the environments",
 }  # fmt: skip
+
+
+def completed(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of an environment's keywords, with None for the others that they replace.
+
+    Those that choose the contact model come together, and the control steps of an episode are not cut by its decisions.
+    """
+    contact = dict.fromkeys(KEYWORDS if changes.keys() & {*KEYWORDS} else ())
+    return {**contact, **dict.fromkeys(["max_episode_steps"] * ("episode_steps" in changes)), **changes}
 
 
 class ReadOnly:

@@ -72,7 +72,8 @@ class Durations(BaseCallback):
         cut = [number for number, info in enumerate(infos) if info.get("TimeLimit.truncated", False)]
         if cut:
             space, seen = model.observation_space, [infos[number]["terminal_observation"] for number in cut]
-            last = model.policy.obs_to_tensor(concatenate(space, seen, create_empty_array(space, len(seen))))[0]
+            rows: Any = create_empty_array(space, len(seen))
+            last = model.policy.obs_to_tensor(concatenate(space, seen, rows))[0]
             memory = list[Any]()
             if "lstm_states" in self.locals:  # of RecurrentPPO
                 memory += [

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from jackbox_env.envs.settings import completed
 from jackbox_env.model.action import ACTIONS, EPISODE_STEPS, Action, most_decisions
 from jackbox_env.model.observation import OBSERVATIONS, Observation
 from jackbox_env.model.pixels import Pixels
@@ -34,10 +35,10 @@ with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
 
 ENV = "env.json"  # beside saved models: what they act in
 PACKAGES = ("stable_baselines3", "sb3_contrib")  # that models are of
-# Wrappers that change neither what an agent observes nor how it acts.
+# Wrappers that change neither what an agent observes nor how it acts; VecNormalize if it has norm_obs=False.
 _WITHOUT_EFFECT = {
     "Monitor", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "TimeLimit",
-    "VecCheckNan", "VecMonitor", "VecTransposeImage", "VecVideoRecorder",
+    "VecCheckNan", "VecMonitor", "VecNormalize", "VecTransposeImage", "VecVideoRecorder",
 }  # fmt: skip
 _KEYS = {"algorithm": str, "env": dict, "missing": list, "wrappers": list}  # of an entry
 _ARGUMENTS = (  # of PPO, that an entry may have, in which case only tensors are read of its model
@@ -115,7 +116,8 @@ def load_model(
         path: of the model, or a run folder: its best model, else its last.
         num_envs: number of environments. Seed them by ``.seed(0)``, then reset.
         trust: unpickle the model, and run the code of a task, observation or action of a user that env.json names.
-        **env_kwargs: of :func:`make_sb3_vec_env`, in place of what is stored.
+        **env_kwargs: of :func:`make_sb3_vec_env`, in place of what is stored. ``episode_steps`` also replaces a stored
+            ``max_episode_steps``, and ``fidelity`` a stored contact model.
 
     Returns:
         The model and the environments. To train a model of ``jackbox train`` further, its learning rate is constant.
@@ -129,7 +131,7 @@ def load_model(
     stored = entry_of(file)
     if not (trust or "arguments" in stored):
         raise ValueError(f"{file} can run code, as it is unpickled: if you trust its author, use --trust or trust=True")
-    keywords = {**stored["env"], **env_kwargs}
+    keywords = {**stored["env"], **completed(env_kwargs)}
     if missing := {*map(str, stored["missing"])} - keywords.keys():
         name = min(missing)
         raise ValueError(
@@ -272,14 +274,13 @@ def _wrappers_of(environments: VecEnv | None) -> list[dict[str, Any]]:
     """The wrappers that change observations, the innermost first, for JSON."""
     stored = list[dict[str, Any]]()
     for layer in layers_of(environments):
-        if isinstance(layer, VecNormalize):
-            if layer.norm_obs:
-                stored.append({
-                    "mean": layer.obs_rms.mean.tolist(), "variance": layer.obs_rms.var.tolist(),
-                    "clip": float(layer.clip_obs), "epsilon": float(layer.epsilon),
-                })  # fmt: skip
-        elif isinstance(layer, VecFrameStack):
+        if isinstance(layer, VecFrameStack):
             stored.append({"stack": layer.stacked_obs.n_stack})
+        elif vars(layer).get("norm_obs"):  # of VecNormalize
+            stored.append({
+                "mean": layer.obs_rms.mean.tolist(), "variance": layer.obs_rms.var.tolist(),
+                "clip": float(layer.clip_obs), "epsilon": float(layer.epsilon),
+            })  # fmt: skip
         elif type(layer).__name__ not in _WITHOUT_EFFECT:
             raise _refused({type(layer).__name__})
     return stored

@@ -58,11 +58,6 @@ def trained(envs: VecEnv, steps: int = 64, policy: str = "MlpPolicy") -> PPO:
     return model.learn(steps, callback=Durations())
 
 
-def recurrent(envs: VecEnv) -> Any:
-    contrib: Any = pytest.importorskip("sb3_contrib")
-    return contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, device="cpu", seed=0)
-
-
 PLAYED: dict[str, tuple[Callable[[], VecEnv], Callable[[VecEnv], Any]]] = {
     "repeat": (lambda: native(action_repeat=4), trained),
     "bounce": (lambda: native(observation="landing", action="landing", action_repeat="bounce"), trained),
@@ -90,7 +85,12 @@ PLAYED: dict[str, tuple[Callable[[], VecEnv], Callable[[VecEnv], Any]]] = {
         lambda: native(action="discrete", action_repeat=10),
         lambda envs: DQN("MlpPolicy", envs, buffer_size=100, device="cpu"),
     ),
-    "RecurrentPPO": (lambda: native(action_repeat=10), recurrent),
+    "RecurrentPPO": (
+        lambda: native(action_repeat=10),
+        lambda envs: pytest.importorskip("sb3_contrib").RecurrentPPO(
+            "MlpLstmPolicy", envs, n_steps=32, batch_size=32, n_epochs=1, device="cpu", seed=0
+        ),
+    ),
 }
 
 
@@ -124,6 +124,8 @@ def entry(folder: Path) -> Any:
 def test_the_environment_is_stored_with_objects_by_name(tmp_path: Path) -> None:
     keywords: dict[str, Any] = {"task": "spin", "scene": {"gravity": np.int64(2)}, "control_dt": 0.01}
     save_model(PPO("MlpPolicy", native(**keywords, max_episode_steps=50)), tmp_path / "model.zip")
+    _, longer = load_model(tmp_path / "model", trust=True, episode_steps=70, contact="pymunk")
+    assert (longer.get_attr("max_episode_steps"), longer.get_attr("contact")) == ([70], ["pymunk"])
     exact = {"fidelity": "exact", "contact": None, "substeps": None}
     stored = {"task": "spin", "scene": {"gravity": 2.0}, "control_dt": 0.01, "max_episode_steps": 50}
     assert entry(tmp_path) == {
