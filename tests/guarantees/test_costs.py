@@ -170,7 +170,7 @@ PROOFS = (
     Proof("another task", EXACT, "its reward is worked out", "rattle", {}, {"task": "rattle"}),
     Proof("drawn scenes", BATCH, "scenes are drawn", "draw_scenes", _RESTARTS, _RANDOM),
     Proof("drawn scenes", BATCH, "scenes are drawn by a function", "Randomization.draw", _RESTARTS, _CHOSEN),
-    Proof("drawn scenes", BATCH, "new scenes are written", "SceneTable.put", _RESTARTS, _RANDOM),
+    Proof("drawn scenes", BATCH, "new scenes are written", "SceneTable.set_scenes", _RESTARTS, _RANDOM),
 )
 
 
