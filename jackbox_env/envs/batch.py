@@ -5,8 +5,8 @@ as it was or all as the change leaves it:
 
 - *prepare*: compute the environments after the change, in memory that is not in use. Only this may raise.
 - *commit*: replace the present by them, in one assignment.
-- *finish*: make what is not in the present agree with it. The next call does this again first. So a change that was
-  interrupted after its commit is finished, and what *prepare* moved before an error is moved back.
+- *finish*: update all other memory to the present. The next call repeats this first, so a change that was interrupted
+  after its commit is finished, and what *prepare* moved before an error is moved back.
 
 The vector environment prepares and commits; what raises before that, such as drawing starts, changes nothing.
 """
