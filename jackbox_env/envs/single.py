@@ -55,6 +55,9 @@ VECTOR_ONLY = dict.fromkeys(
     ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
 )
+_KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the right arrow key
+    ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
+}  # fmt: skip
 Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
@@ -352,6 +355,26 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+    @property
+    def get_keys_to_action(self) -> Callable[[], dict[tuple[int, ...], AnyAction]]:
+        """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
+
+        With the action "discrete" use ``play(..., noop=1)``: its default, 0, is the action of the right key.
+
+        Raises:
+            AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
+        """
+        if self.interface.action not in _KEYS:
+            raise AttributeError("there are keys for action='torque' and 'discrete' only")
+        left, right = _KEYS[self.interface.action]
+
+        def keys() -> dict[tuple[int, ...], AnyAction]:
+            import pygame
+
+            return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
+
+        return keys
 
     def _snapshot(self) -> Snapshot:
         """The environment as it is now, for :meth:`_restore`."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pygame
 import pytest
 from gymnasium.wrappers import RescaleAction
 
@@ -76,6 +77,34 @@ def test_errors_of_missing_packages_name_the_command_that_installs_them() -> Non
     lines = (done.stdout + done.stderr).splitlines()
     remedies = 'pip install -e ".[train]"', "pip install -e '.[all,dev]'", "pip install pygame-ce"
     assert [sum(line.endswith(remedy) for line in lines) for remedy in remedies] == [1, 2, 2]
+
+
+# -- play -------------------------------------------------------------------------------------------------------------
+
+
+def test_play_drives_by_the_chirp_until_an_arrow_key_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = pytest.importorskip("matplotlib")
+    monkeypatch.setattr(backend, "use", lambda *arguments, **settings: None)  # play opens a Tk window at import
+    from gymnasium.utils.play import MissingKeysToAction, play
+
+    presses = {10: pygame.KEYDOWN, 20: pygame.KEYUP, 30: pygame.QUIT}  # after so many steps
+    actions, torques = list[Any](), list[float]()
+
+    def remember(before: Any, after: Any, action: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
+        actions.append(action if action is None else float(action[0]))
+        torques.append(info["torque"])
+        if len(actions) in presses:
+            pygame.event.post(pygame.event.Event(presses[len(actions)], {"key": pygame.K_LEFT}))
+
+    play(gym.make("JackInBox-v0", render_mode="rgb_array"), callback=remember, noop=None, seed=0)
+    assert actions == [None] * 10 + [1.0] * 10 + [None] * 10
+    assert set(torques[10:20]) == {90000.0}
+    assert not {0.0, 90000.0} & {*torques[:10], *torques[20:]}
+    for action, right in (("torque", -1.0), ("discrete", 0)):
+        keys: Any = gym.make("JackInBox-v0", action=action).get_wrapper_attr("get_keys_to_action")()
+        assert keys[(pygame.K_RIGHT,)] == right < keys[(pygame.K_LEFT,)]
+    with pytest.raises(MissingKeysToAction):
+        play(gym.make("JackInBox-v0", render_mode="rgb_array", action="landing"))
 
 
 @pytest.mark.parametrize(
