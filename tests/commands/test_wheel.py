@@ -146,15 +146,15 @@ def test_commands_that_need_a_checkout_name_it_in_one_line(site: Path, tmp_path:
 
 # -- with the exact model compiled ------------------------------------------------------------------------------------
 
-FIRST = {
-    "single": "env = gym.make('JackInBox-v0', fidelity='exact'); env.reset(seed=0); env.step(np.zeros(1))",
-    "batch": "envs = jackbox_env.JackInBoxVectorEnv(1024, fidelity='exact'); envs.reset(); envs.step(None)",
-    "rollout": "jackbox_env.rollout(None, np.zeros(12), np.zeros((8, 100)), 0.02, rewards='juggle')",
-    "linearize": "d = jackbox_env.linearize(None, np.zeros(12), [0.0], 0.02); d.A; d.jvp(); d.vjp(np.ones((1, 2, 12)))",
-    "simulate": "jackbox_env.simulate(duration=5.0)(4.99)",
-    "rest": "jackbox_env.simulate({'drive': None}, [0.0] * 4 + [-5.0] + [0.0] * 7, 1.0)(0.5)",
-    "pixels": "gym.make('JackInBox-v0', fidelity='exact', observation='pixels').reset(seed=0)",
-}
+FIRST = (
+    "env = gym.make('JackInBox-v0', fidelity='exact'); env.reset(seed=0); env.step(np.zeros(1))",
+    "envs = jackbox_env.JackInBoxVectorEnv(1024, fidelity='exact'); envs.reset(); envs.step(None)",
+    "jackbox_env.rollout(None, np.zeros(12), np.zeros((8, 100)), 0.02, rewards='juggle')",
+    "d = jackbox_env.linearize(None, np.zeros(12), [0.0], 0.02); d.A; d.jvp(); d.vjp(np.ones((1, 2, 12)))",
+    "jackbox_env.simulate(duration=5.0)(4.99)",
+    "jackbox_env.simulate({'drive': None}, [0.0] * 4 + [-5.0] + [0.0] * 7, 1.0)(0.5)",
+    "gym.make('JackInBox-v0', fidelity='exact', observation='pixels').reset(seed=0)",
+)
 NOTHING_COMPILES = """
 from numba.core.dispatcher import _FunctionCompiler
 def refuse(*_): raise SystemExit("something is compiled")
@@ -178,14 +178,12 @@ def first(site: Path, cwd: Path, code: str, **settings: str) -> subprocess.Compl
 
 @pytest.mark.slow  # builds the wheel
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("kind", FIRST)
-def test_shipped_code_takes_the_first_steps_and_nothing_is_compiled(kind: str, shipped: Path, tmp_path: Path) -> None:
-    code = f"import gymnasium as gym, numpy as np, jackbox_env\n{FIRST[kind]}"
-    done = first(shipped, tmp_path, code)
+def test_shipped_code_takes_the_first_steps_and_nothing_is_compiled(shipped: Path, tmp_path: Path) -> None:
+    steps = [f"import gymnasium as gym, numpy as np, jackbox_env\n{code}" for code in FIRST]
+    done = first(shipped, tmp_path, "\n".join(steps))
     assert (done.returncode, done.stderr) == (0, "")
-    if kind == "rollout":
-        refused = first(shipped, tmp_path, code, NUMBA_CPU_NAME="generic")  # for which the code is not
-        assert "something is compiled" in refused.stderr
+    refused = first(shipped, tmp_path, steps[0], NUMBA_CPU_NAME="generic")  # for which the code is not
+    assert "something is compiled" in refused.stderr
 
 
 @pytest.mark.slow  # builds the wheel
