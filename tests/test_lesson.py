@@ -65,9 +65,9 @@ def test_the_links_of_the_wedges_differ_as_the_page_says() -> None:
 @pytest.mark.parametrize("by", [1e-3, 1e-6, 1e-9])
 def test_two_wedges(by: float) -> None:
     game = WEDGE._replace(start=WEDGE.start + by * np.eye(12)[5])
-    (states, impacts), (others, _) = played(WEDGE, 11.0), played(game, 11.0)
+    states, others = played(WEDGE, 11.0)[0], played(game, 11.0)[0]
     apart = 0.02 * (abs(states - others)[:, 4] > 0.1).argmax()
-    assert f"fter {apart:.1f} s, or {sum(hit.time < apart for hit in impacts)}" in LESSON
+    assert f"fter {apart:.1f} s." in LESSON
 
 
 def test_without_gravity() -> None:
