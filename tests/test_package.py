@@ -156,7 +156,6 @@ def test_numbers_in_hand_written_sentences_are_the_stored_ones() -> None:
     wanted = {
         "index": [f"earns {level}"],
         "start": [f"a PD controller earns {level}", f"reaches {ppo}"],
-        "lesson": [f"who beats {level}?"],
         "make_it_yours": [
             f"{best_upright():.0f} at best",
             f"earns {earned['juggle', 'zero']:.0f}",
