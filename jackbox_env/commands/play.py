@@ -9,7 +9,6 @@ import webbrowser
 from pathlib import Path
 
 from jackbox_env.commands.options import parser_of
-from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 from jackbox_env.tools.files import check_new_file, new_file
 
@@ -20,8 +19,7 @@ def options() -> argparse.Namespace:
     """The command's options; ``--help`` ends the process here.
 
     Raises:
-        ValueError: ``--out`` has another suffix than .html.
-        OSError: it exists, or cannot be written.
+        OSError: ``--out`` exists, or cannot be written.
     """
     parser = parser_of(__doc__)
     parser.add_argument("--no-browser", action="store_true", help="only print the path of the page")
@@ -29,8 +27,6 @@ def options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, metavar="FILE", help=text)
     chosen = parser.parse_args()
     if chosen.out is not None:
-        if chosen.out.suffix.lower() != ".html":
-            raise ValueError(f"out must be an .html file, which browsers open, got {check.shown(str(chosen.out))}")
         check_new_file(chosen.out)
     return chosen
 
@@ -51,13 +47,11 @@ def packaged() -> Path:
 @command_line
 def main() -> None:
     """Show the page that this package has."""
-    options()
-    show(packaged())
+    show(options(), packaged())
 
 
-def show(page: Path) -> None:
+def show(chosen: argparse.Namespace, page: Path) -> None:
     """Write a page to ``--out``; else print its path, and open it unless the command's options forbid it."""
-    chosen = options()
     if chosen.out is not None:
         with new_file(chosen.out) as partial:
             shutil.copyfile(page, partial)
