@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -165,11 +164,8 @@ class JackInBoxVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A frame of each environment, uint8, shape (height, width, 3); without ``render_mode="rgb_array"`` None."""
-        if self.render_mode != "rgb_array":
-            warnings.warn(f"render_mode must be 'rgb_array' for images, got {self.render_mode!r}", stacklevel=2)
-            return [None] * self.num_envs
-        return list(self.vector_env.render() or ())
+        """A frame of each environment, uint8, shape (height, width, 3); None without a render mode."""
+        return list(self.vector_env.render() or [None] * self.num_envs)
 
     # -- attributes and methods of single environments ----------------------------------------------------------------
 
