@@ -23,8 +23,12 @@ def options() -> argparse.Namespace:
     """
     parser = parser_of(__doc__)
     parser.add_argument("--no-browser", action="store_true", help="only print the path of the page")
-    text = "write the page to this new .html file, which can be sent, in place of opening it"
-    parser.add_argument("--out", type=Path, metavar="FILE", help=text)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the page to this new file, which can be sent, and do not open it",
+    )
     chosen = parser.parse_args()
     if chosen.out is not None:
         check_new_file(chosen.out)

@@ -14,8 +14,9 @@ _MOST_READ = 1 << 20  # bytes of standard input: more than any game has
 def main() -> None:
     """Parse, replay, compare; exit with 1 if the motion differs."""
     parser = parser_of(__doc__)
-    help_text = "the shared text, or the link that ends in it; - reads it from standard input"
-    parser.add_argument("text", metavar="TEXT", help=help_text)
+    parser.add_argument(
+        "text", metavar="TEXT", help="the shared text, or the link that ends in it; - reads it from standard input"
+    )
     text: str = parser.parse_args().text
     from jackbox_env.commands.game import read_game, replay_game
     from jackbox_env.model.action import EPISODE_STEPS

@@ -23,29 +23,42 @@ _LONGEST_FILM = 60.0  # [s]: 1.2 GB of frames
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    text = "simulated time [s]; default: 10"
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help=text)
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="simulated time [s]; default: 10")
     model = parser.add_argument_group("scene and contact model")
-    text = f"how impacts are computed; default: {COMMANDS}"
-    model.add_argument("--fidelity", choices=FIDELITIES, default=COMMANDS, help=text)
-    text = "duration of a control step [s]; default: 0.02"
-    model.add_argument("--dt", type=float, default=0.02, metavar="S", help=text)
-    add_scene_options(model)
-    text = (
-        "what to start from: numbers by name, as JSON, e.g. '{\"x_jack\": 1}', or all 12 as a list, e.g. a row of "
-        "states.csv; default: all 0"
+    model.add_argument(
+        "--fidelity", choices=FIDELITIES, default=COMMANDS, help=f"how impacts are computed; default: {COMMANDS}"
     )
-    parser.add_argument("--state", default="{}", metavar="JSON", help=text)
+    model.add_argument(
+        "--dt", type=float, default=0.02, metavar="S", help="duration of a control step [s]; default: 0.02"
+    )
+    add_scene_options(model)
+    parser.add_argument(
+        "--state",
+        default="{}",
+        metavar="JSON",
+        help=(
+            "what to start from: numbers by name, as JSON, e.g. '{\"x_jack\": 1}', or all 12 as a list, e.g. a row of "
+            "states.csv; default: all 0"
+        ),
+    )
     files = parser.add_argument_group("files")
-    text = "new folder for all that is written; default: runs/simulate-<date>-<time>"
-    files.add_argument("--folder", type=Path, help=text)
+    files.add_argument(
+        "--folder", type=Path, help="new folder for all that is written; default: runs/simulate-<date>-<time>"
+    )
     files.add_argument("--format", choices=("csv", "npz"), default="csv", help="of states and impacts; default: csv")
-    text = "draw positions and velocities of the box and of the jack; default: where matplotlib is installed"
-    files.add_argument("--plots", action=argparse.BooleanOptionalAction, help=text)
-    text = "also write trajectory.html: animation, impacts and plots in one page that any browser opens"
-    files.add_argument("--html", action="store_true", help=text)
-    text = "also film it, in this new .mp4 or .gif file; needs the extra video"
-    files.add_argument("--film", type=Path, metavar="FILE", help=text)
+    files.add_argument(
+        "--plots",
+        action=argparse.BooleanOptionalAction,
+        help="draw positions and velocities of the box and of the jack; default: where matplotlib is installed",
+    )
+    files.add_argument(
+        "--html",
+        action="store_true",
+        help="also write trajectory.html: animation, impacts and plots in one page that any browser opens",
+    )
+    files.add_argument(
+        "--film", type=Path, metavar="FILE", help="also film it, in this new .mp4 or .gif file; needs the extra video"
+    )
     return parser.parse_args()
 
 
