@@ -74,13 +74,13 @@ def film(
     shown = [_Shown(caption, acting, env_settings, seed, width) for caption, acting in acts.items()]
     frames, first = [], round(begin / control_dt)
     steps = range(first + max(1, round(seconds / control_dt)))
-    with bar(len(steps), progress) as moved:
+    with bar(len(steps), progress) as moving:
         for step in steps:
             if step >= first and (step - first) % every == 0:
                 frames.append(np.concatenate([one.picture() for one in shown], axis=1))
             for one in shown:
                 one.advance((step + 1) * control_dt)
-            moved(1)
+            moving.update(1)
     write_film(frames, path, 1.0 / (every * control_dt))
     return {one.caption: one.earned for one in shown}
 

@@ -65,7 +65,7 @@ class ValuedSearch(PlanSearch):
         super().__init__(*arguments, **settings)
         self.value = value
 
-    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene, states: Array, tried: Array) -> tuple[Array, Array]:
         """Evaluate as :meth:`PlanSearch.evaluate` does, and add the values of the ends to the sums of rewards."""
         returns, ends = super().evaluate(scene, states, tried)
         return returns + np.array([self.value.of(of_jack) for of_jack in ends]).reshape(returns.shape), ends

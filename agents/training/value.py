@@ -54,7 +54,7 @@ class Arguments:
 class RecordingSearch(ValuedSearch):
     """A search that stores the returns and the last states of its last candidates."""
 
-    def evaluate(self, scene: Scene | list[Scene], states: Array, tried: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene, states: Array, tried: Array) -> tuple[Array, Array]:
         """Evaluate as :class:`ValuedSearch` does, and store the result."""
         self.returns, self.ends = super().evaluate(scene, states, tried)
         return self.returns, self.ends

@@ -25,33 +25,21 @@ _TOLERANCE = 1e-9  # relative, of energy and work
 _CORE = ("gymnasium", "numba", "numpy", "pymunk")
 
 
-def _installed(requirement: str) -> bool:
-    try:
-        metadata.version(re.split(r"[^\w.-]", requirement)[0])  # "torch" of "torch<3,>=2.3"
-    except metadata.PackageNotFoundError:
-        return False
-    return True
-
-
-def _extras() -> dict[str, list[str]]:
-    """The requirements of each extra, {"scale": ["ray<3,>=2.50"]}, from the installed package's metadata."""
-    requirements = dict[str, list[str]]()
-    for line in metadata.requires("jackbox") or []:
-        requirement, _, condition = line.partition(";")
-        named = re.search(r"extra == ['\"](\w+)['\"]", condition)
-        if named and not requirement.startswith("jackbox["):
-            requirements.setdefault(named[1], []).append(requirement.strip())
-    return requirements
-
-
 def extra_lines() -> list[str]:
     """A line for each extra: installed, or the command that installs its packages."""
-    lines = []
-    for name, requirements in _extras().items():
-        missing = " ".join(f'"{requirement}"' for requirement in requirements if not _installed(requirement))
-        if name not in ("all", "dev", "docs", "peers"):  # the others together; for work on the project itself
-            lines.append(f"{name}: {f'not installed, pip install {missing}' if missing else 'installed'}")
-    return lines
+    missing = dict[str, list[str]]()
+    for line in metadata.requires("jackbox") or []:
+        requirement, _, condition = line.partition(";")
+        extra = re.search(r"extra == ['\"](\w+)['\"]", condition)
+        if extra and extra[1] not in ("all", "dev", "docs", "peers"):  # the others together; for work on the project
+            absent = missing.setdefault(extra[1], [])
+            name = re.split(r"[^\w.-]", requirement)[0]  # "torch" of "torch<3,>=2.3"
+            if not any(metadata.distributions(name=name)):
+                absent.append(f'"{requirement.strip()}"')
+    return [
+        f"{name}: " + (f"not installed, pip install {' '.join(absent)}" if absent else "installed")
+        for name, absent in missing.items()
+    ]
 
 
 def _compiled(ready: Callable[[], None]) -> str:

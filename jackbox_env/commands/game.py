@@ -22,7 +22,6 @@ FNV-1a over 64-bit words: the 12 numbers of the state after each step, from the 
 from __future__ import annotations
 
 import json
-import math
 import re
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -38,7 +37,6 @@ from jackbox_env.exact.pcg64 import WHOLE, generator_of
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, as_start
 from jackbox_env.model.tasks import TASKS, sample_start
-from jackbox_env.recording.files import Columns, state_columns
 from jackbox_env.simulators import JackLostError
 from jackbox_env.simulators.agent_functions import make_functions
 from jackbox_env.simulators.exact import ExactSimulator
@@ -132,22 +130,6 @@ def replay_game(game: Game) -> tuple[int | None, list[PlayedStep]]:
             return count, steps
         steps.append(step)
     return None, steps
-
-
-def played_columns(game: Game, steps: Sequence[PlayedStep]) -> Columns:
-    """A table of n steps, with n + 1 rows: that of states.csv with the number of impacts, their impulse, the reward.
-
-    A row's torque, impacts, impulse and reward are of the step that begins there; the last row's are NaN. A foot at
-    rest counts as an impact of each step.
-    """
-    times = np.array([0.0, *(step.result.time for step in steps)])
-    states = np.array([game.start, *(step.result.state for step in steps)])
-    results = [step.result for step in steps]
-    rows = [(one.torque, len(one.impacts), one.impulse, one.reward) for one in results]
-    columns = zip(*rows, (math.nan,) * 4, strict=True)
-    torque, impacts, impulse, reward = (np.array(column, object) for column in columns)  # counts stay whole numbers
-    further: Columns = {("impacts", ""): impacts, ("impulse", "N s"): impulse, ("reward", ""): reward}
-    return {**state_columns(times, states, torque), **further}
 
 
 def write_game(

@@ -27,8 +27,10 @@ def parser_of(text: str | None) -> argparse.ArgumentParser:
 
 def add_scene_options(parser: argparse._ActionsContainer) -> None:
     """Add --scene, and an option for each number of a scene; :func:`chosen_scene` reads them."""
-    text = """fields that differ from the default, as JSON, e.g. '{"gravity": 1.62}'"""
-    parser.add_argument("--scene", default="{}", metavar="JSON", help=text)
+    parser.add_argument(
+        "--scene", default="{}", metavar="JSON",
+        help="""fields that differ from the default, as JSON, e.g. '{"gravity": 1.62, "drive": null}'""",
+    )  # fmt: skip
     for name, text in SCENE_HELP.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="N", help=text)
 

@@ -9,7 +9,6 @@ import webbrowser
 from pathlib import Path
 
 from jackbox_env.commands.options import parser_of
-from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
 from jackbox_env.tools.files import check_new_file, new_file
 
@@ -20,17 +19,18 @@ def options() -> argparse.Namespace:
     """The command's options; ``--help`` ends the process here.
 
     Raises:
-        ValueError: ``--out`` has another suffix than .html.
-        OSError: it exists, or cannot be written.
+        OSError: ``--out`` exists, or cannot be written.
     """
     parser = parser_of(__doc__)
     parser.add_argument("--no-browser", action="store_true", help="only print the path of the page")
-    text = "write the page to this new .html file, which can be sent, in place of opening it"
-    parser.add_argument("--out", type=Path, metavar="FILE", help=text)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the page to this new file, which can be sent, and do not open it",
+    )
     chosen = parser.parse_args()
     if chosen.out is not None:
-        if chosen.out.suffix.lower() != ".html":
-            raise ValueError(f"out must be an .html file, which browsers open, got {check.shown(str(chosen.out))}")
         check_new_file(chosen.out)
     return chosen
 
@@ -51,13 +51,11 @@ def packaged() -> Path:
 @command_line
 def main() -> None:
     """Show the page that this package has."""
-    options()
-    show(packaged())
+    show(options(), packaged())
 
 
-def show(page: Path) -> None:
+def show(chosen: argparse.Namespace, page: Path) -> None:
     """Write a page to ``--out``; else print its path, and open it unless the command's options forbid it."""
-    chosen = options()
     if chosen.out is not None:
         with new_file(chosen.out) as partial:
             shutil.copyfile(page, partial)

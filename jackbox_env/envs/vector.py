@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from jackbox_env.envs.compiled_batch import ExactBatch
 
 _MOST_ENVS = 1_000_000_000
-_alone = by_one_thread("a vector environment")
 
 
 class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
@@ -204,7 +203,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._batch.times
 
     @property
-    @_alone
+    @by_one_thread
     def observations(self) -> Floats:
         """The observations of the present states: a fresh array, shape (N, numbers) or (N, h, w, stack)."""
         return self._observed(np.arange(self.num_envs))
@@ -214,7 +213,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         self._batch.observe(numbers, observations)
         return observations
 
-    @_alone
+    @by_one_thread
     def set_states(self, states: ArrayLike, times: ArrayLike, chosen: Flags | None = None) -> None:
         """Set states, shape (12,) or (N, 12), and times [s], a number or shape (N,).
 
@@ -236,7 +235,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """
         return self._batch.field(check.choice("name", name, (*NUMBERS, "speed_scale")))
 
-    @_alone
+    @by_one_thread
     def impacts(self, number: int) -> list[Impact]:
         """The last step's impacts of one environment, in time order; empty after a restart or :meth:`set_states`.
 
@@ -257,7 +256,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """The environments' seeds, -1 where none was given."""
         return tuple(self._seeds.get(number, -1) for number in range(self.num_envs))
 
-    @_alone
+    @by_one_thread
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, Infos]:
@@ -296,7 +295,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """
         return plan_of(self._arguments, seed, options)
 
-    @_alone
+    @by_one_thread
     def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
         """Make a decision in each environment under ``actions``, shape (N, n) or (N,), or under the drive if None.
 
@@ -331,7 +330,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         infos |= masked(outcome.infos | self._drawn(self._started), self._started)
         return outcome.observations, outcome.rewards, outcome.terminations, outcome.truncations, infos
 
-    @_alone
+    @by_one_thread
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, uint8, shape (height, width, 3)."""
         if self.render_mode is None:

@@ -1,7 +1,7 @@
 """Tables of numbers: CSV and npz files, dicts and DataFrames, with headers as other programs write them.
 
-The one reader of ``Recording.from_frame``, ``jackbox fit`` and ``jackbox simulate --torque``. A table's values become
-numbers in :func:`in_si_units`, so a column that nobody reads may hold anything.
+The one reader of ``Recording.from_frame`` and ``jackbox fit``. A table's values become numbers in :func:`in_si_units`,
+so a column that nobody reads may hold anything.
 """
 
 from __future__ import annotations

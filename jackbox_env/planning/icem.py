@@ -33,10 +33,6 @@ class Plans(NamedTuple):
     elites: Array  # (N, reused, knots) the best candidates, tried again
     decisions: NDArray[np.int64]  # (N,) made since the plan began
 
-    def of(self, numbers: NDArray[np.int64]) -> Plans:
-        """The plans of some jacks."""
-        return Plans(self.means[numbers], self.elites[numbers], self.decisions[numbers])
-
     def replaced(self, numbers: NDArray[np.int64], plans: Plans) -> Plans:
         """All plans, with those of some jacks replaced."""
         parts = self.means.copy(), self.elites.copy(), self.decisions.copy()
@@ -92,11 +88,11 @@ class PlanSearch:
         elites = np.zeros((count, self.reused, self.knots))
         return Plans(np.zeros((count, self.knots)), elites, np.zeros(count, dtype=np.int64))
 
-    def decide(self, scene: Scene | list[Scene], states: Array, plans: Plans) -> tuple[Decision, Plans]:
+    def decide(self, scene: Scene, states: Array, plans: Plans) -> tuple[Decision, Plans]:
         """Improve plans from states, shape (n, 12); return the best plans, and the plans one knot later.
 
         Args:
-            scene: of all, or a list of n.
+            scene: of all.
             states: shape (n, 12).
             plans: the last ones, of n jacks.
         """
@@ -133,19 +129,17 @@ class PlanSearch:
         noise: Array = np.array(drawn).reshape(-1, self.samples, self.knots)[inverse]
         return noise
 
-    def evaluate(self, scene: Scene | list[Scene], states: Array, candidates: Array) -> tuple[Array, Array]:
+    def evaluate(self, scene: Scene, states: Array, candidates: Array) -> tuple[Array, Array]:
         """Play candidates, shape (n, k, knots), from states, (n, 12): sums of rewards (n, k), and ends (n, k, 12).
 
         No drive acts.
         """
         count, many = candidates.shape[:2]
-        scenes = [scene] if isinstance(scene, Scene) else [one for one in scene for _ in range(many)]
-        limits = np.array([[one.torque_limit] for one in scenes])
-        starts, torques = np.repeat(states, many, axis=0), candidates.reshape(count * many, -1) * limits
+        starts, torques = np.repeat(states, many, axis=0), candidates.reshape(count * many, -1) * scene.torque_limit
         options = RolloutOptions(
             side_forces=False, task=self.task, repeat=self.repeat, num_threads=self.num_threads, device=self.device
         )
-        played = run_rollouts(scenes, starts, torques, self.control_dt, options=options)
+        played = run_rollouts([scene], starts, torques, self.control_dt, options=options)
         return played.rewards.sum(axis=1).reshape(count, many), played.trajectories[:, 1].reshape(count, many, 12)
 
 

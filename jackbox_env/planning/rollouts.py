@@ -7,7 +7,6 @@ Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, overload
 
 import numpy as np
@@ -193,13 +192,12 @@ def rollout(
     return played.trajectories if whole and not (energy or impacts or task) else played
 
 
-@dataclass
 class Tape:
-    """The record of a rollout for its derivatives."""
+    """The record of a rollout for its derivatives, which :func:`run_rollouts` fills in."""
 
-    rows: Array = field(default_factory=lambda: new_log(0, True))  # a wide log of all impacts, step by step
-    hits: Counts = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # (N, H) impacts of each step
-    nonsmooth: Flags = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (N, H) steps without a derivative
+    rows: Array  # a wide log of all impacts, step by step
+    hits: Counts  # (N, H) impacts of each step
+    nonsmooth: Flags  # (N, H) steps without a derivative
 
 
 class RolloutOptions(NamedTuple):

@@ -43,36 +43,23 @@ def frame(columns: Columns) -> Any:
     return pandas.DataFrame({name: numbers for (name, _), numbers in columns.items()})
 
 
-def write_csv(tables: tuple[Columns, Columns], states: Path, impacts: Path) -> list[Path]:
-    """Write a file of states (time, the 12 numbers, torque) and one of impacts, to new files; return them.
+def write_csv(tables: tuple[Columns, Columns], *paths: Path) -> list[Path]:
+    """Write the tables of states (time, the 12 numbers, torque) and impacts to new CSV files; return their paths.
 
-    A row's torque is the mean over the step that begins there; the last row's is empty.
+    Digits are in full, names and units in the first line, NaN is an empty cell. A row's torque is the mean over the
+    step that begins there; the last row's is empty.
 
     Raises:
         FileExistsError: a file is there already.
     """
-    return [write_table(columns, path) for path, columns in zip((states, impacts), tables, strict=True)]
-
-
-def write_table(columns: Columns, path: Path) -> Path:
-    """Write columns to a new CSV file: digits in full, names and units in the first line, NaN as an empty cell.
-
-    Raises:
-        FileExistsError: the file is there already.
-    """
-    names = [f"{name} [{unit}]" if unit else name for name, unit in columns]
-    with new_file(path) as partial, partial.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        for first in range(0, len(next(iter(columns.values()))), _ROWS):
-            rows = zip(*(numbers[first : first + _ROWS].tolist() for numbers in columns.values()), strict=True)
-            writer.writerows(["" if cell != cell else cell for cell in row] for row in rows)
-    return path
-
-
-def state_columns(times: Array, states: Array, torques: Array) -> Columns:
-    """The columns of states.csv, from times [s], shape (n,), states, shape (n, 12), and torques [N m], shape (n,)."""
-    return {("time", "s"): times, **by_name("", states), ("torque", "N m"): torques}
+    for columns, path in zip(tables, paths, strict=True):
+        with new_file(path) as partial, partial.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([f"{name} [{unit}]" if unit else name for name, unit in columns])
+            for first in range(0, len(next(iter(columns.values()))), _ROWS):
+                rows = zip(*(numbers[first : first + _ROWS].tolist() for numbers in columns.values()), strict=True)
+                writer.writerows(["" if cell != cell else cell for cell in row] for row in rows)
+    return [*paths]
 
 
 def by_name(prefix: str, states: Array) -> Columns:

@@ -40,17 +40,15 @@ def check_film(path: Path) -> None:
 
 
 def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
-    """Write a motion as a film of 25 frames per second to a new file, with a bar if ``progress``.
+    """Write a motion as a film of 25 frames per second to a new file that :func:`check_film` accepts.
 
-    Raises:
-        OSError, ValueError, ImportError: as :func:`check_film`.
+    A bar is shown if ``progress``.
     """
-    check_film(path)
     samples, renderer = samples_of(motion), Renderer(motion.scene, "rgb_array", 1.0 / _SPACING, size=(SIZE, SIZE))
     renderer.reset(motion.states[0], float(motion.t[0]))
     moments = np.arange(motion.t[0], motion.t[-1] + 0.5 * _SPACING, _SPACING)
     hits, frames, shown = motion.hits, list[Frame](), 0
-    with bar(len(moments), progress, "frame") as moved:
+    with bar(len(moments), progress, "frame") as moving:
         for moment in moments:
             index = int(np.searchsorted(samples.times, moment + 1e-9, "right")) - 1
             count = int(np.searchsorted(motion.impacts["time"], samples.times[index], "right"))
@@ -58,7 +56,7 @@ def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
             renderer.record(state, time, torque, hits[shown:count])
             frames.append(renderer.drawn())
             shown = count
-            moved(1)
+            moving.update(1)
     renderer.close()
     write_film(frames, path, 1.0 / _SPACING)
     return path

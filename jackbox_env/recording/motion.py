@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import Drive
 from jackbox_env.model.states import Array, Counts
-from jackbox_env.recording.files import Columns, by_name, frame, save, state_columns
+from jackbox_env.recording.files import Columns, by_name, frame, save
 from jackbox_env.recording.record import Impacts, Record
 from jackbox_env.recording.recorder import restarted
 from jackbox_env.simulators.base import Impact
@@ -134,7 +134,6 @@ class Motion:
         Raises:
             TypeError, ValueError: as of a call; also without ``t`` for another contact model than the exact one.
         """
-        self._record.refuse_no_states("work is summed over the flights between impacts, and ")
         times, shape = self._times(self.t if t is None else t)
         return (self._worked(times) - self._worked(self.t[:1])).reshape(shape)
 
@@ -242,7 +241,7 @@ class Motion:
     def tables(self) -> tuple[Columns, Columns]:
         """The columns of states, with NaN for the torque after the last one, and those of impacts."""
         torque = np.append(self.mean_torques, np.nan)
-        states = state_columns(self.t, self.states, torque)
+        states = {("time", "s"): self.t, **by_name("", self.states), ("torque", "N m"): torque}
         units = {"time": "s", "impulse": "N s"}
         impacts = {(name, units.get(name, "")): self.impacts[name] for name in Impact._fields}
         if "before" in (self.impacts.dtype.names or ()):

@@ -94,10 +94,10 @@ class Record:
         ended = np.concatenate([ends, self.held[jumps] > 0])[order]
         return Knots(times, states, arrived[1:], number[order], np.append(ended[1:], False))
 
-    def refuse_no_states(self, needed: str = "") -> None:
-        """Raise ValueError unless there are states between control steps; ``needed``: what needs them."""
+    def refuse_no_states(self) -> None:
+        """Raise ValueError unless there are states between control steps."""
         if "before" not in (self.impacts.dtype.names or ()):
-            raise ValueError(f"{needed}this motion has states at the ends of control steps only: {ONLY_EXACT}")
+            raise ValueError(f"this motion has states at the ends of control steps only: {ONLY_EXACT}")
 
     def flown(self, indices: Counts, durations: Array) -> Array:
         """The states some time after knots [s], shape (n, 12), before the next knot."""

@@ -197,7 +197,7 @@ def run_record(
     parts, applied, done, end = list[Record](), list[float](), 0, None
     size = 1 if callable(torques) else whole if event is None and not progress else _CHUNK
     largest = 1 if callable(torques) else max(_CHUNK, whole // 100) if progress else whole
-    with bar(whole, progress) as moved:
+    with bar(whole, progress) as moving:
         while end is None and (done < whole or (rest > 0.0 and done == whole)):
             length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
             if callable(torques):
@@ -208,7 +208,7 @@ def run_record(
             part = advance(state, time, length, count, None if held is None else np.broadcast_to(held, count))
             parts.append(part)
             state, time, done, size = part.states[-1], float(part.times[-1]), done + count, min(2 * size, largest)
-            moved(count)
+            moving.update(count)
             if event is not None:
                 end = event(part)
             if part.failure is not None:

@@ -36,17 +36,14 @@ def samples_of(motion: Motion) -> Samples:
         return Samples(motion.t, motion.states, _torques(motion, motion.t), motion.energy(), _replayed_work(motion))
     struck = np.unique(motion.impacts["time"][~motion.impacts["resting"]])
     moments = np.unique(np.concatenate([motion.t, struck]))
-    between = [np.linspace(start, end, _parts(end - start), endpoint=False) for start, end in pairwise(moments)]
+    parts = np.maximum(1, np.ceil(np.diff(moments) / SPACING - 1e-6)).astype(int)
+    spans = zip(pairwise(moments), parts.tolist(), strict=True)
+    between = [np.linspace(start, end, count, endpoint=False) for (start, end), count in spans]
     times = np.sort(np.concatenate([*between, moments[-1:], struck]))
     states, (before,) = motion(times), np.nonzero(np.append(times[1:] == times[:-1], False))
     states[before] = motion(times[before], "before")
     energies = np.asarray(energy_of(motion.scene, states.T))
     return Samples(times, states, _torques(motion, times), energies, motion.work(times))
-
-
-def _parts(duration: float) -> int:
-    """The number of equal parts of a flight [s]."""
-    return max(1, int(np.ceil(duration / SPACING - 1e-6)))
 
 
 def _replayed_work(motion: Motion) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jackbox_env.model.scene import Chirp, Drive, Scene
+from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, Array, State, as_restored, by_names
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
@@ -85,7 +85,8 @@ def simulate(
     if callable(torque) and _is_controller(torque):
         torques = _checked(torque)
     elif callable(torque):
-        scene = scene.changed(drive=_turned_by(torque, scene.drive))
+        forces = (scene.drive.force_x, scene.drive.force_y) if isinstance(scene.drive, Drive) else ()
+        scene = scene.changed(drive=Drive(torque, *forces))
     elif torque is not None:
         torques = _torques(torque, steps_of(duration, dt))
     motion = recorded(scene, setting, np.zeros(12) if state is None else state, time, duration, dt, torques, event)
@@ -110,12 +111,6 @@ def _is_controller(function: Callable[..., float]) -> bool:
 def _checked(function: Callable[[float, State], float]) -> Controller:
     """The controller, whose torques are checked."""
     return lambda time, state: check.real(f"torque({time:g} s, state)", function(time, State(*state.tolist())))
-
-
-def _turned_by(torque: Callable[[float], float], drive: Chirp | Drive | None) -> Drive:
-    """A drive with this torque, and with the side forces of another."""
-    forces = (drive.force_x, drive.force_y) if isinstance(drive, Drive) else (None, None)
-    return Drive(torque, *forces)
 
 
 def _torques(torque: Any, steps: tuple[int, float]) -> Array | float:

@@ -53,7 +53,8 @@ def _font(size: int) -> pygame.font.Font:
 
 
 @lru_cache(maxsize=256)
-def _written(text: str, size: int, colour: Colour) -> pygame.Surface:
+def written(text: str, size: int, colour: Colour) -> pygame.Surface:
+    """A text in letters of a size [px]."""
     pygame = import_pygame()
     try:
         large = _font(_FINER * size).render(text, True, colour)
@@ -62,22 +63,6 @@ def _written(text: str, size: int, colour: Colour) -> pygame.Surface:
         large = _font(_FINER * size).render(text, True, colour)
     width, height = large.get_size()
     return pygame.transform.smoothscale(large, (width // _FINER, height // _FINER)) if width else large
-
-
-def write(surface: pygame.Surface, text: str, point: complex, size: int, colour: Colour, align: float) -> None:
-    """Write with the left end (align 0), the middle (0.5) or the right end (1) at ``point``, half way down.
-
-    Args:
-        surface: to write on.
-        text: a hyphen becomes a minus sign.
-        point: [px].
-        size: of the letters [px].
-        colour: of the letters.
-        align: which end is at ``point``.
-    """
-    image = _written(text.replace("-", "\N{MINUS SIGN}"), size, colour)
-    width, height = image.get_size()
-    surface.blit(image, (round(point.real - align * width), round(point.imag - 0.5 * height)))
 
 
 class Canvas:
@@ -100,10 +85,6 @@ class Canvas:
         self._packed.blit(self.surface, (0, 0))  # faster than a copy of each colour by numpy
         frame: NDArray[np.uint8] = self.pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
         return frame
-
-    def fill(self, colour: Colour) -> None:
-        """Fill the frame with one colour."""
-        self.surface.fill(colour)
 
     def line(self, at: float, axis: int, darker: Colour) -> None:
         """Darken a line of 1 px across the whole frame, where x (axis 0) or y (1) is ``at`` [px]."""

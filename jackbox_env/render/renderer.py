@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array
-from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, write
+from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, written
 from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH
 from jackbox_env.simulators.base import Impact
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
@@ -203,11 +203,6 @@ class Renderer:
         sideways = (foot * cmath.rect(1.0, -angle) * (-1j) ** impact.wall).imag
         return complex(limit, min(max(sideways, -limit), limit)) * 1j**impact.wall
 
-    def to_pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Return the point of the frame [px] for (x, y) [m] in the world, x to the right and y down."""
-        point = self._in_frame(complex(x, y) - self._box)
-        return point.real, point.imag
-
     def _in_frame(self, offset: complex) -> complex:
         """Return the point of the frame [px] at ``offset`` [m] from the box's centre.
 
@@ -280,7 +275,7 @@ class Renderer:
     # -- the parts of a frame, from back to front ----------------------------------------------------------------------
 
     def _draw_background(self, canvas: Canvas, turn: complex) -> None:
-        canvas.fill(_PAPER)
+        canvas.surface.fill(_PAPER)
         corner = (self._scene.box_half_width + 0.5 * self._wall / self._scale) * (1 + 1j)  # beneath the walls
         canvas.polygon([self._in_frame(corner * turn * 1j**number) for number in range(4)], _INTERIOR)
         for axis in (0, 1):
@@ -367,7 +362,10 @@ class Renderer:
         self, surface: pygame.Surface, text: str, point: complex, size: float = 22.0, colour: Colour = INK,
         align: float = 0.0,
     ) -> None:  # fmt: skip
-        write(surface, text, point, max(1, round(size * self._px)), colour, align)
+        """Write with the left end (align 0) or the right end (1) at ``point``, half way down; all in [px]."""
+        image = written(text.replace("-", "\N{MINUS SIGN}"), max(1, round(size * self._px)), colour)
+        width, height = image.get_size()
+        surface.blit(image, (round(point.real - align * width), round(point.imag - 0.5 * height)))
 
 
 def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import copy
-import inspect
-import sys
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,7 +20,6 @@ from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.simulators import Impact
-from jackbox_env.simulators.fidelity import FURTHER
 from jackbox_env.tools import checks as check
 
 with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
@@ -31,11 +27,6 @@ with check.extra("jackbox_env.sb3", "Stable-Baselines3", "train"):
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-_KEYWORDS = [
-    name
-    for name in (*inspect.signature(JackInBoxVectorEnv).parameters, *FURTHER)
-    if name not in ("num_envs", "autoreset_mode", "settings")
-]
 _SHARED = {"num_threads", "with_infos", "max_episode_steps"}  # not arguments of the single environment
 
 
@@ -72,7 +63,6 @@ class JackInBoxVecEnv(VecEnv):
     """
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
-        check.known_keys("make_sb3_vec_env", env_kwargs, _KEYWORDS)
         self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._with_infos = bool(env_kwargs.get("with_infos", False))
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
@@ -83,7 +73,6 @@ class JackInBoxVecEnv(VecEnv):
         self.metadata = self.vector_env.metadata
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
         self._changes = 0  # of the vector environment, at the time of returns and lengths
-        self.discounted = env_kwargs.get("action_repeat") != "bounce"  # rightly: Durations sets it too
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -118,18 +107,6 @@ class JackInBoxVecEnv(VecEnv):
 
     def step_async(self, actions: Any) -> None:
         """Store the actions, shape (N, n) or (N,), for ``step_wait``."""
-        if not self.discounted:
-            caller = sys._getframe(1)
-            while caller.f_back and caller.f_code.co_name in ("step", "step_async"):  # of wrappers
-                caller = caller.f_back
-            # of a training whose discount depends on the duration
-            if caller.f_code.co_name == "collect_rollouts" and caller.f_locals["self"].gamma != 1.0:
-                self.discounted = True  # one warning is enough
-                warnings.warn(
-                    "decisions of 'bounce' last unequally, and gamma is per decision: learn(n, callback=Durations()) "
-                    "of jackbox_env.sb3 discounts by elapsed time",
-                    stacklevel=2,
-                )
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -187,11 +164,8 @@ class JackInBoxVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A frame of each environment, uint8, shape (height, width, 3); without ``render_mode="rgb_array"`` None."""
-        if self.render_mode != "rgb_array":
-            warnings.warn(f"render_mode must be 'rgb_array' for images, got {self.render_mode!r}", stacklevel=2)
-            return [None] * self.num_envs
-        return list(self.vector_env.render() or ())
+        """A frame of each environment, uint8, shape (height, width, 3); None without a render mode."""
+        return list(self.vector_env.render() or [None] * self.num_envs)
 
     # -- attributes and methods of single environments ----------------------------------------------------------------
 

@@ -64,9 +64,7 @@ def whole(name: str, value: Any, *, at_least: int, at_most: int | None = None) -
         TypeError: it is no whole number.
         ValueError: it is out of bounds.
     """
-    expected = f"a whole number >= {at_least}"
-    if at_most is not None:
-        expected = f"a whole number from {at_least} to {at_most}"
+    expected = f"a whole number {f'>= {at_least}' if at_most is None else f'from {at_least} to {at_most}'}"
     if isinstance(value, bool):
         raise TypeError(f"{name} must be {expected}, got {shown(value)}")
     try:

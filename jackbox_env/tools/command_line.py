@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import errno
 import functools
-import importlib
+import importlib.util
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.error import Error as GymnasiumError
@@ -88,21 +90,14 @@ def progress(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-@contextmanager
-def bar(total: int, shown: bool, unit: str = "step") -> Iterator[Callable[[int], object]]:
-    """Yield a function that moves a progress bar on by a number of units; it is erased at the block's end.
+def bar(total: int, shown: bool, unit: str = "step") -> AbstractContextManager[Any]:
+    """A progress bar of tqdm, whose ``update`` moves it on by a number of units; it is erased at the block's end.
 
     Nothing is written if it is not ``shown``, if standard error is no terminal, or if tqdm is not installed.
     """
-    tqdm = None
-    if shown and sys.stderr is not None and sys.stderr.isatty():
-        with suppress(ImportError):
-            tqdm = importlib.import_module("tqdm").tqdm
-    if tqdm is None:
-        yield lambda count: None
-    else:
-        with tqdm(total=total, unit=unit, leave=False) as moved:
-            yield moved.update
+    if shown and importlib.util.find_spec("tqdm"):
+        return importlib.import_module("tqdm").tqdm(total=total, unit=unit, leave=False, disable=None)  # type: ignore[no-any-return]
+    return nullcontext(SimpleNamespace(update=lambda count: None))
 
 
 def called(name: str, *arguments: str) -> str:

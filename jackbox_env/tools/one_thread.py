@@ -32,24 +32,21 @@ def in_use(what: str) -> RuntimeError:
 
 
 def by_one_thread(
-    what: str,
-) -> Callable[[Callable[Concatenate[Any, P], R]], Callable[Concatenate[Any, P], R]]:
-    """A decorator of methods that refuse a call, by RuntimeError, while another thread is in one of them.
+    method: Callable[Concatenate[Any, P], R],
+) -> Callable[Concatenate[Any, P], R]:
+    """Decorate a method of a vector environment: it raises RuntimeError while another thread is in one of them.
 
-    They do not call each other. The object has a :class:`ThreadNote`, ``_inside``. ``what`` it is begins the message.
+    They do not call each other. The object has a :class:`ThreadNote`, ``_inside``.
     """
 
-    def decorated(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any, P], R]:
-        @wraps(method)
-        def alone(self: _Noted, /, *args: P.args, **kwargs: P.kwargs) -> R:
-            inside, thread = self._inside, get_ident()
-            if inside.setdefault(0, thread) != thread:
-                raise in_use(what)
-            try:
-                return method(self, *args, **kwargs)
-            finally:
-                inside.clear()
+    @wraps(method)
+    def alone(self: _Noted, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        inside, thread = self._inside, get_ident()
+        if inside.setdefault(0, thread) != thread:
+            raise in_use("a vector environment")
+        try:
+            return method(self, *args, **kwargs)
+        finally:
+            inside.clear()
 
-        return alone
-
-    return decorated
+    return alone

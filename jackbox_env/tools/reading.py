@@ -7,7 +7,7 @@ import json
 import sys
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +24,6 @@ class DamagedFileError(ValueError):
     """A file that is cut short, overwritten, or of another format."""
 
 
-@contextmanager
-def parsing(path: Path) -> Iterator[None]:
-    """A block that parses the file at ``path``.
-
-    Raises:
-        DamagedFileError: the block raised an exception.
-    """
-    try:
-        yield
-    except Exception as error:  # a damaged zip fails in dozens of ways
-        raise DamagedFileError(f"{path} is damaged ({first_line(error)})") from error
-
-
 def first_line(error: Exception) -> str:
     """The class of an error and the beginning of its message, in one line."""
     message = next(iter(str(error).splitlines()), "")[:200]
@@ -44,12 +31,17 @@ def first_line(error: Exception) -> str:
 
 
 @contextmanager
-def as_value_error(problem: str) -> Iterator[None]:
+def as_value_error(problem: str, kind: type[ValueError] = ValueError) -> Iterator[None]:
     """Turn any exception in the block into a ValueError that names the problem."""
     try:
         yield
-    except Exception as error:
-        raise ValueError(f"{problem}: {first_line(error)}") from error
+    except Exception as error:  # a damaged zip fails in dozens of ways
+        raise kind(f"{problem}: {first_line(error)}") from error
+
+
+def parsing(path: Path) -> AbstractContextManager[None]:
+    """A block that parses the file at ``path``, in which any exception becomes a :class:`DamagedFileError`."""
+    return as_value_error(f"{path} is damaged", DamagedFileError)
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:

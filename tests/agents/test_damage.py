@@ -71,7 +71,7 @@ def goes_on_to_its_end(folder: Path) -> None:
 
 
 def skipped(said: str, path: Path) -> bool:
-    return any(line.startswith(f"Skipped: {path} is damaged (") for line in said.splitlines())
+    return any(line.startswith(f"Skipped: {path} is damaged: ") for line in said.splitlines())
 
 
 @EVERY_HARM

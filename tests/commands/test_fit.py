@@ -97,7 +97,7 @@ def test_nothing_turns_the_box_under_torque_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize("drive", [Chirp(), None])
 def test_an_npz_file_of_simulate_brings_its_scene(drive: Chirp | None, tmp_path: Path) -> None:
     scene = json.dumps({"gravity": 3.7, "jack_mass": 6.0, "drive": drive and {"amplitude": 5e4}})
-    start = ["--state", "x_jack=0.3,theta_jack=0.2,vx_jack=1", "--scene", scene, "--folder", "run"]
+    start = ["--state", '{"x_jack": 0.3, "theta_jack": 0.2, "vx_jack": 1}', "--scene", scene, "--folder", "run"]
     jackbox("simulate", "--format", "npz", "--no-plots", "--seconds", "5", *start, cwd=tmp_path)
     out, err = jackbox("fit", "run/trajectory.npz", "--fields", "gravity", cwd=tmp_path)
     assert "The search starts at the scene of run/trajectory.npz." in err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import re
@@ -22,7 +21,6 @@ import pytest
 from jackbox_env import JackLostError, Scene, make_simulator
 from jackbox_env.commands import game, play
 from jackbox_env.commands.game import read_game, replay_game, write_game
-from jackbox_env.model.states import STATE_NAMES, STATE_UNITS
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.exact import ExactSimulator
 from tests.script import jackbox
@@ -146,28 +144,6 @@ def test_the_command_compares(
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode())))
         done = jackbox("replay", argument, cwd=tmp_path, status=status)
         assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
-
-
-def test_the_command_writes_what_was_played(tmp_path: Path) -> None:
-    path = tmp_path / "game.csv"
-    words = ["replay", text(digest="0" * 16), "--csv", str(path)]
-    assert jackbox(*words, cwd=tmp_path, status=1).stdout.endswith(
-        f"it differs from step 600 on\n{path} has 599 steps\n"
-    )
-    refusal = f"{path} exists, and is never overwritten: choose another place\n"
-    assert jackbox(*words, cwd=tmp_path, status=2) == ("", refusal)
-    with path.open() as file:
-        header, *lines, last = csv.reader(file)
-    states = [f"{name} [{unit}]" for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)]
-    assert header == ["time [s]", *states, "torque [N m]", "impacts", "impulse [N s]", "reward"]
-    simulator, rewards = started(make_simulator(SCENE, "exact"), START), rewards_of(read_game(text()))
-    for line, share, reward in zip(lines, SHARES[:599], rewards[:599], strict=True):
-        before = simulator.time, *simulator.state.tolist()
-        _, _, torque, impacts = simulator.step(0.02, None if share is None else share * SCENE["torque_limit"])
-        impulse = sum((impact.impulse for impact in impacts), 0.0)
-        assert line == [str(number) for number in (*before, torque, len(impacts), impulse, reward)]
-    assert last == [*map(str, (simulator.time, *simulator.state.tolist())), *[""] * 4]
-    assert {"0", "1"} <= {line[14] for line in lines}
 
 
 # -- play -------------------------------------------------------------------------------------------------------------

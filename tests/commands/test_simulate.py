@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jackbox_env import Scene, make_simulator
+from jackbox_env import Scene
 from jackbox_env.commands import simulate
 from tests.script import Done, jackbox
-from tests.states import started
 
 
 def run(tmp_path: Path, *arguments: str, status: int = 0) -> Done:
@@ -45,7 +44,7 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path) -> N
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of imageio
 def test_a_film_shows_the_motion_at_any_step(tmp_path: Path) -> None:
     imageio = pytest.importorskip("imageio.v3")
-    options = ["--seconds", "0.6", "--dt", "0.3", "--state", "y_jack=-4.5", "--folder", "out"]
+    options = ["--seconds", "0.6", "--dt", "0.3", "--state", '{"y_jack": -4.5}', "--folder", "out"]
     out, err = run(tmp_path, *options, "--film", "run.mp4")
     frames = imageio.imread(tmp_path / "run.mp4")
     assert len(frames) == 16  # at 0, 0.04, ... 0.6 s; an impact is at 0.32 s
@@ -75,22 +74,11 @@ def test_the_scene_is_written_beside_the_states_and_makes_the_same_scene(tmp_pat
     assert "box_inertia" not in fields
 
 
-def test_torques_come_from_a_file_or_are_none_and_a_state_has_names(tmp_path: Path) -> None:
-    start = ["--state", "x_jack=1, vy_jack=-9", "--dt", "0.05"]
-    (tmp_path / "kicks.csv").write_text("torque [N m]\n" + "3e4\n" * 20 + "-5e4\n" * 20)
-    run(tmp_path, *start, "--torque", "kicks.csv", "--folder", "kicked", "--html")
-    simulator = started(make_simulator(fidelity="exact"), [0.0, 0.0, 0.0, 1.0] + [0.0] * 6 + [-9.0, 0.0])
-    for step in range(40):
-        simulator.step(0.05, 3e4 if step < 20 else -5e4)
-    for number, torque in enumerate(["kicked/states.csv", "0/trajectory.npz"]):  # what it wrote it reads
-        options = "--torque", torque, "--format", "npz", "--folder", str(number)
-        run(tmp_path, *start, *options)
-        arrays = np.load(tmp_path / str(number) / "trajectory.npz")
-        np.testing.assert_array_equal(arrays["state"][-1], simulator.state)
-    assert "Torques of kicks.csv" in (tmp_path / "kicked" / "trajectory.html").read_text()
-    run(tmp_path, *start, "--torque", "none", "--format", "npz", "--folder", "calm")
+def test_a_state_has_names_and_a_scene_without_a_drive_no_torque(tmp_path: Path) -> None:
+    start = ["--state", '{"x_jack": 1, "vy_jack": -9}', "--dt", "0.05", "--scene", '{"drive": null}']
+    run(tmp_path, *start, "--format", "npz", "--folder", "calm", "--html")
     calm = np.load(tmp_path / "calm" / "trajectory.npz")
     assert len(calm["torque"]) == 200
     assert not calm["torque"].any()
-    assert Scene.of(json.loads(calm["scene"].item())) == Scene(drive=None)
-    assert calm["state"][0, 3:5].tolist() == [1.0, 0.0]
+    assert calm["state"][0].tolist() == [0.0, 0.0, 0.0, 1.0] + [0.0] * 6 + [-9.0, 0.0]
+    assert "No torque" in (tmp_path / "calm" / "trajectory.html").read_text()

@@ -117,7 +117,7 @@ def with_arguments(**change: Any) -> dict[str, Any]:
         ({"arguments": 5}, "is no model of env.json beside it: TypeError"),
         ({"env": {"observation": "pixels-4096x4096x4095"}}, "Pixels must be at most"),
         ({"env": {"observation": "mine.py:seen"}}, "runs code .'mine.py:seen'.: if you trust its author"),
-        ({"env": {"torques": 1}}, "make_sb3_vec_env accepts only"),
+        ({"env": {"torques": 1}}, "has no argument 'torques'"),
         ({"wrappers": [{"stack": 10**9}]}, "stack must be a whole number from 1 to 1000"),
         ({"env": {"observation": "pixels-200x200x3"}, "wrappers": [{"stack": 1000}]}, "from 1 to 83, got 1000"),
         ({"env": {}, "missing": ["task"]}, "that .* was trained with: load it with task="),

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from jackbox_env import Chirp, Drive, Recording, Scene
-from jackbox_env.commands import simulate
 from jackbox_env.commands.fit import column_names, read_recording
 from jackbox_env.model.states import STATE_NAMES
 
@@ -244,14 +243,6 @@ def test_a_file_is_read_or_a_sentence_says_why_not(case: Case) -> None:
     )
     for name, values in case.states.items():
         np.testing.assert_allclose(recording.states[:, STATE_NAMES.index(name)], values, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "case", [case for case in CASES if case.torques and "unix" not in case.file], ids=lambda c: c.file
-)
-def test_simulate_reads_the_same_torques_as_fit(case: Case, capsys: pytest.CaptureFixture[str]) -> None:
-    assert simulate._torques(FILES / case.file, case.dt).tolist() == pytest.approx(case.torques)
-    assert ("left out: clock" in capsys.readouterr().err) == (case.file in ("alike.csv", "left_out.csv"))
 
 
 def test_each_file_is_tried() -> None:

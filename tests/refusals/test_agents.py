@@ -278,7 +278,7 @@ RUNS = [
     Refusal(
         lambda _: policy_of_run(Path("model.zip"), trust=False),
         ValueError,
-        "model.zip is no model of its settings: DamagedFileError: model.zip is damaged (...)",
+        "model.zip is no model of its settings: DamagedFileError: model.zip is damaged: ...",
         files({"model.zip": "nonsense", "settings.json": json.dumps(asdict(PLAIN))}),
     ),
     Refusal(
@@ -309,12 +309,12 @@ RUNS = [
     Refusal(
         lambda _: read_sweep(Path("sweep")),
         DamagedFileError,
-        "sweep/sweep.json is damaged (...)",
+        "sweep/sweep.json is damaged: ...",
         files({"sweep/sweep.json": "{"}),
     ),
     *(
         Refusal(
-            lambda _: read_json(Path("a.json")), DamagedFileError, "a.json is damaged (...)", files({"a.json": content})
+            lambda _: read_json(Path("a.json")), DamagedFileError, "a.json is damaged: ...", files({"a.json": content})
         )
         for content in (b"", b"\xff\xfe\x00", b"[" * 100_000)
     ),

@@ -104,17 +104,12 @@ MOTIONS = [
     *(
         Refusal(call, ValueError, STEPS_ONLY, motion)
         for motion in PYMUNKS
-        for call in (lambda motion: motion(0.1), lambda motion: motion.restart(0))
-    ),
-    *(
-        Refusal(
-            lambda motion, times=times: motion.work(*times),
-            ValueError,
-            "work is summed over the flights between impacts, and " + STEPS_ONLY,
-            motion,
+        for call in (
+            lambda motion: motion(0.1),
+            lambda motion: motion.restart(0),
+            lambda motion: motion.work(),
+            lambda motion: motion.work(0.1),
         )
-        for motion in PYMUNKS
-        for times in ((), (0.1,))
     ),
     Refusal(
         lambda _: MOTION().save("run.npz"),

@@ -106,27 +106,9 @@ LEARNING = [
     ),
     Refusal(
         lambda _: make_sb3_vec_env(2, with_info=True),
-        ValueError,
-        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
-        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
-        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
-        "'episode_steps', got 'with_info' (did you mean 'with_infos'?)",
-    ),
-    Refusal(
-        lambda _: make_sb3_vec_env(2, autoreset_mode=0.0),
-        ValueError,
-        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
-        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
-        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
-        "'episode_steps', got 'autoreset_mode' (did you mean 'render_mode'?)",
-    ),
-    Refusal(
-        lambda _: make_sb3_vec_env(2, gravity=0.0),
-        ValueError,
-        "make_sb3_vec_env accepts only 'max_episode_steps', 'num_threads', 'with_infos', "
-        "'render_mode', 'contact', 'substeps', 'scene', 'task', 'control_dt', 'torque', 'fidelity', "
-        "'randomize', 'render_size', 'render_overlay', 'observation', 'action', 'action_repeat', "
-        "'episode_steps', got 'gravity'",
+        TypeError,
+        "the vector environment of JackInBox-v0 has no argument 'with_info' (did you mean 'with_infos'?): it accepts "
+        "num_envs, ...",
     ),
     Refusal(
         lambda _: make_sb3_vec_env(1, max_episode_steps=126, action_repeat=4),

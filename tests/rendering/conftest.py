@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jackbox_env.render import canvas, renderer
+from jackbox_env.render.renderer import Renderer
 from tests.rendering.pixels import Words
 
 
@@ -14,11 +14,11 @@ from tests.rendering.pixels import Words
 def words(monkeypatch: pytest.MonkeyPatch) -> Words:
     """Every string drawn, and the last position where it was drawn."""
     written: Words = {}
-    write = canvas.write
+    write = Renderer._write
 
-    def noting(surface: Any, text: str, position: complex, *rest: Any) -> None:
+    def noting(renderer: Renderer, surface: Any, text: str, position: complex, *rest: Any, **more: Any) -> None:
         written[text] = position.real, position.imag
-        write(surface, text, position, *rest)
+        write(renderer, surface, text, position, *rest, **more)
 
-    monkeypatch.setattr(renderer, "write", noting)
+    monkeypatch.setattr(Renderer, "_write", noting)
     return written

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,12 @@ def draw(renderer: Renderer) -> Frame:
     frame = renderer.render()
     assert isinstance(frame, np.ndarray)
     return frame
+
+
+def place(x: float, y: float, box: tuple[float, float] = (0.0, 0.0)) -> tuple[float, float]:
+    """The point of a frame of the default size and scene [px] for (x, y) [m] in the world; the box is in the middle."""
+    scale = (224.0 / math.sqrt(2.0) - 6.0) / L
+    return 256.0 + scale * (x - box[0]), 256.0 - scale * (y - box[1])
 
 
 def pixel(frame: Frame, point: tuple[float, float]) -> tuple[int, int, int]:

@@ -62,7 +62,7 @@ def test_a_small_frame_has_no_letters_to_squint_at(width: int, lettered: bool, w
 def test_several_environments_without_a_render_mode_have_no_pictures() -> None:
     with pytest.warns(UserWarning, match="render_mode"):
         assert JackInBoxVectorEnv(2).render() is None
-    with pytest.warns(UserWarning, match="render_mode .* got None"):
+    with pytest.warns(UserWarning, match="render_mode"):
         assert make_sb3_vec_env(2).get_images() == [None, None]
 
 
