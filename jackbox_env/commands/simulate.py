@@ -102,7 +102,7 @@ def _write(folder: Path, arguments: argparse.Namespace, motion: Motion) -> None:
     if arguments.film is not None:
         from jackbox_env.recording.film import film_motion
 
-        film_motion(motion, arguments.film, progress=True)
+        film_motion(motion, arguments.film)
 
 
 @command_line

@@ -372,7 +372,7 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
         raise ValueError(f"states must have as many rows as torques, got {len(starts)} and {len(held)}")
     if not np.isfinite(held).all():
         raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
-    counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or ([len(scenes)] if several else [1])
+    counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or [len(scenes)]
     count = counts[0]
     if several and len(scenes) != count:
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")
