@@ -47,9 +47,9 @@ from jackbox_env.exact.workspace import (
     TORQUE,
     TURNING,
     Workspace,
-    make_numbers,
+    scene_at,
 )
-from jackbox_env.model.scene import SceneNumbers, chirp_turns
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -224,12 +224,10 @@ def glide_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block,
         return False
     mark_under_chirp(scene, params, block, time)
     enter_frames(block)
-    turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
-    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     length, impulse = dt / pieces, 0.0
     memory.work += pieces * (1.0 + _DRIFT_COST * count)
     for number in range(pieces):
-        chirp_piece(scene, turns, frequency, number * length, length, memory)
+        chirp_piece(scene, time, number * length, length, memory)
         angle = horner(memory.powers[3 * TURN + 2], DEGREE + 2, 1.0)
         rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
@@ -324,7 +322,7 @@ def write_scene_params(values: Array, dt: float, scene_params: Array, numbers: C
         numbers: of the environments.
     """
     for i in range(numbers.shape[0]):
-        scene = make_numbers(values[i if values.shape[0] > 1 else 0])
+        scene = scene_at(values, i)
         lane = scene_params[numbers[i] // scene_params.shape[2], :, numbers[i] % scene_params.shape[2]]
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
         lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.exact.workspace import scene_at
 from jackbox_env.model.randomization import between
 from jackbox_env.model.scene import SceneNumbers, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts
@@ -57,7 +57,7 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
     """
     width = blocks.shape[2]
     for k in range(numbers.shape[0]):
-        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
+        scene = scene_at(values, k)
         row = blocks[numbers[k] // width, :, numbers[k] % width]
         row[:] = 0.0
         x = -1.0 + 2.0 * uniform(words[k])

@@ -26,6 +26,7 @@ from jackbox_env.exact.workspace import (
     TIME,
     TORQUE,
     make_numbers,
+    scene_at,
 )
 from jackbox_env.jit.compiler import called_at, numbers_in
 from jackbox_env.model.landing import at_landing, landing_features
@@ -89,10 +90,8 @@ def observe_rows(values: Array, block: Array, count: int, scratch: Array, low: i
 
     ``values`` are the scenes' numbers, one row for all environments or one for each; ``low`` is the block's first one.
     """
-    several = values.shape[0] > 1
     for k in range(count):
-        scene = make_numbers(values[low + k if several else 0])
-        if not observe(scene, block[:, k], block[TIME, k], observations[low + k]):
+        if not observe(scene_at(values, low + k), block[:, k], block[TIME, k], observations[low + k]):
             return k
     return -1
 
@@ -117,9 +116,8 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    several = values.shape[0] > 1
     for k in range(count):
-        scene = make_numbers(values[low + k if several else 0])
+        scene = scene_at(values, low + k)
         write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     return -1
 
@@ -140,9 +138,8 @@ def observe_chosen(values: Array, blocks: Array, numbers: Counts, observations: 
     """
     width = blocks.shape[2]
     for k in range(numbers.shape[0]):
-        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
         row = blocks[numbers[k] // width, :, numbers[k] % width]
-        if not observe(scene, row, row[TIME], observations[numbers[k]]):
+        if not observe(scene_at(values, k), row, row[TIME], observations[numbers[k]]):
             return int(numbers[k])
     return -1
 
@@ -196,12 +193,11 @@ def act_block(values: Array, before: Array, scratch: Array, controls: Array, fir
         size: rows of the block.
         dt: control step [s].
     """
-    several = values.shape[0] > 1
     for k in range(size):
         scratch[APPLIED, k] = 0.0
         if before[OVER, k] == 0.0:
             number = first + k
-            scene, state = make_numbers(values[number if several else 0]), state_in(before[:, k])
+            scene, state = scene_at(values, number), state_in(before[:, k])
             share = 1.0 * action_torque(scene, state, action_in(controls, number), before[TIME, k], dt)  # of a bool too
             if share != share:
                 return k
@@ -261,9 +257,9 @@ def score_block(
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
     torque, hits, impulses, unusable = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM], 0
-    ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
+    ends, count = 0, min(after.shape[1], rewards.shape[0] - first)
     rewards, terminations = rewards[first : first + count], terminations[first : first + count]  # of the block
-    if not (several or waiting):
+    if not (values.shape[0] > 1 or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
             rewards[k] = total(numbers_in(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k])))
@@ -275,7 +271,7 @@ def score_block(
         for k in range(count):
             rewards[k] = 0.0
             if over[k] == 0.0:
-                row_scene = make_numbers(values[first + k if several else 0])
+                row_scene = scene_at(values, first + k)
                 rewards[k] = total(numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])))
                 if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[k] = True
@@ -285,8 +281,7 @@ def score_block(
     for k in range(count if reports.shape[0] else 0):
         if over[k] == 0.0:
             report = reports[first + k]
-            row_scene = make_numbers(values[first + k if several else 0])
-            earned = numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+            earned = numbers_in(task_terms(scene_at(values, first + k), state_in(after[:, k]), torque[k], impulses[k]))
             if made == 0:  # -0.0 stays -0.0
                 report[:] = -0.0
             report[REPORTED_TORQUE] += torque[k]

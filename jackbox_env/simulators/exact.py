@@ -152,8 +152,7 @@ def ensure_compiled(lossy: bool = False) -> None:
 
     Feet at rest are included if a scene is ``lossy``.
     """
-    simulator = ExactSimulator(Scene())
-    simulator.step(0.02, 0.0)
+    ExactSimulator(Scene()).step(0.02, 0.0)
     if lossy:
         with_all(new_workspaces())
 

@@ -47,12 +47,11 @@ class Interface(NamedTuple):
     @property
     def builtin(self) -> bool:
         """Whether none of them has functions of a user, which may fail."""
-        return self.task in TASKS.values() and self.observation in OBSERVATIONS.values() and self.steady
-
-    @property
-    def steady(self) -> bool:
-        """Whether the action has no function of a user."""
-        return self.action in ACTIONS.values()
+        return (
+            self.task in TASKS.values()
+            and self.observation in OBSERVATIONS.values()
+            and self.action in ACTIONS.values()
+        )
 
     @property
     def space(self) -> gym.spaces.Box:

@@ -330,20 +330,15 @@ class PymunkSimulator(Simulator):
         set_back = scene.box_half_width + thickness
         extent = scene.box_half_width + 2.0 * thickness  # past the corners
         directions = [pymunk.Vec2d(1, 0), pymunk.Vec2d(0, 1), pymunk.Vec2d(-1, 0), pymunk.Vec2d(0, -1)]
-        walls: list[pymunk.Shape] = []
+        shapes = list[pymunk.Shape]()
         for normal in directions:
             middle, end = normal * set_back, normal.perpendicular() * extent
-            wall = pymunk.Segment(box, middle - end, middle + end, thickness)
-            wall.elasticity = scene.restitution  # the engine multiplies both elasticities
-            walls.append(wall)
-        feet: list[pymunk.Shape] = []
-        for direction in directions:
-            foot = pymunk.Circle(jack, 0.0, direction * scene.jack_arm)
-            foot.elasticity = 1.0
-            feet.append(foot)
-        for number, shape in enumerate([*walls, *feet]):
+            shapes.append(pymunk.Segment(box, middle - end, middle + end, thickness))
+        shapes += [pymunk.Circle(jack, 0.0, direction * scene.jack_arm) for direction in directions]
+        for number, shape in enumerate(shapes):
             shape.collision_type = number
-        space.add(*walls, *feet)
+            shape.elasticity = scene.restitution if shape.body is box else 1.0  # the engine multiplies both
+        space.add(*shapes)
         recorder = ContactRecorder()
         space.on_collision(None, None, post_solve=recorder)
         self._space, self._box, self._jack, self._recorder = space, box, jack, recorder
