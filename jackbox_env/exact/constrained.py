@@ -78,6 +78,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    copy_numbers,
 )
 
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
@@ -107,8 +108,7 @@ def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, le
     """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
     series = memory.held.series
     start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
-    for k in range(DEGREE + 1):
-        series[row, k] = memory.powers[3 * axis, k]
+    copy_numbers(DEGREE + 1, memory.powers[3 * axis], series[row])
     for i in range(DEGREE):
         for j in range(DEGREE - 1, i - 1, -1):
             series[row, j] += start * series[row, j + 1]
@@ -142,10 +142,14 @@ def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) 
     for k in range(DEGREE + 1):
         series[OMEGA_SQUARED, k] = product(series, OMEGA, OMEGA, k)
         series[SPIN_SQUARED, k] = product(series, SPIN, SPIN, k)
-        x = 2.0 * product(series, OMEGA, RATE_Y, k) + product(series, OMEGA_SQUARED, POSITION_X, k)
-        y = -2.0 * product(series, OMEGA, RATE_X, k) + product(series, OMEGA_SQUARED, POSITION_Y, k)
-        x -= gravity * series[BOX_SINE, k]
-        y -= gravity * series[BOX_COSINE, k]
+        x = (
+            2.0 * product(series, OMEGA, RATE_Y, k) + product(series, OMEGA_SQUARED, POSITION_X, k)
+            - gravity * series[BOX_SINE, k]
+        )  # fmt: skip
+        y = (
+            -2.0 * product(series, OMEGA, RATE_X, k) + product(series, OMEGA_SQUARED, POSITION_Y, k)
+            - gravity * series[BOX_COSINE, k]
+        )  # fmt: skip
         if pushed:
             x -= product(series, BOX_COSINE, PUSHED_X, k) + product(series, BOX_SINE, PUSHED_Y, k)
             y -= product(series, BOX_COSINE, PUSHED_Y, k) - product(series, BOX_SINE, PUSHED_X, k)
@@ -154,10 +158,9 @@ def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) 
             n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
             x -= pliancy * n_x * series[FORCE + contact, k]
             y -= pliancy * n_y * series[FORCE + contact, k]
-        x += product(series, ALPHA, POSITION_Y, k)
-        y -= product(series, ALPHA, POSITION_X, k)
         share, later = RECIPROCALS[k], RECIPROCALS[k + 1]
-        series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
+        series[RATE_X, k + 1] = share * (x + product(series, ALPHA, POSITION_Y, k))
+        series[RATE_Y, k + 1] = share * (y - product(series, ALPHA, POSITION_X, k))
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for index in range(3):
             series[POSITION_X + index, k + 2] = later * series[RATE_X + index, k + 1]
@@ -182,9 +185,10 @@ def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: 
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for contact in range(count):
         n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
-        missing = n_x * x + n_y * y - product(series, EXTENT + contact, SPIN_SQUARED, k)
-        missing -= product(series, BOX_LEVER + contact, ALPHA, k) + product(series, JACK_LEVER + contact, JACK_ALPHA, k)
-        held.rhs[contact] = missing
+        held.rhs[contact] = (
+            n_x * x + n_y * y - product(series, EXTENT + contact, SPIN_SQUARED, k)
+            - (product(series, BOX_LEVER + contact, ALPHA, k) + product(series, JACK_LEVER + contact, JACK_ALPHA, k))
+        )  # fmt: skip
     solve(scene, held, count, k)
 
 

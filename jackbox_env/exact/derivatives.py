@@ -198,8 +198,7 @@ def fill_identity(tangent: Array, seeds: Array) -> None:
     for index in range(FIRST_FIELD):
         tangent[index, index] = 1.0
     for column in range(seeds.shape[0]):
-        for index in range(seeds.shape[1]):
-            tangent[GRAVITY + index, FIRST_FIELD + column] = seeds[column, index]
+        copy_numbers(seeds.shape[1], seeds[column], tangent[GRAVITY:, FIRST_FIELD + column])
 
 
 def matrices(
@@ -228,11 +227,9 @@ def matrices(
                 propagate(played, scene, params, i, k, by_time, tangent, workspaces[0])
                 stale = not same
             for row in range(12):
-                for column in range(12):
-                    by_state[i, k, row, column] = tangent[row, column]
+                copy_numbers(12, tangent[row], by_state[i, k, row])
                 by_torque[i, k, row] = tangent[row, TORQUE]
-                for column in range(by_field.shape[3]):
-                    by_field[i, k, row, column] = tangent[row, FIRST_FIELD + column]
+                copy_numbers(by_field.shape[3], tangent[row, FIRST_FIELD:], by_field[i, k, row])
 
 
 def pull_back(

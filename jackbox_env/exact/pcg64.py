@@ -113,8 +113,7 @@ def words_of(generator: np.random.Generator) -> Words:
     state, increment = int(numpy_state["state"]["state"]), int(numpy_state["state"]["inc"])
     low = (1 << 64) - 1
     half = numpy_state["has_uint32"], numpy_state["uinteger"]
-    words = [state >> 64, state & low, increment >> 64, increment & low, *half]
-    return np.array(words, dtype=np.uint64)
+    return np.array([state >> 64, state & low, increment >> 64, increment & low, *half], dtype=np.uint64)
 
 
 def generator_of(words: Words) -> np.random.Generator:

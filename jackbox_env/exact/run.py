@@ -165,8 +165,7 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         for lane in range(block.size):
             torque[lane] = max(-1.0, min(1.0, here[lane])) * limit[lane]
     else:
-        for lane in range(block.size):
-            torque[lane] = here[lane]
+        copy_numbers(block.size, here, torque)
     for lane in range(block.size):
         usable += 1 if abs(here[lane]) < math.inf else 0
     return -1 if usable == block.size else first_unusable(block, step_controls)
@@ -268,8 +267,7 @@ def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
         if block.before[OVER, lane] == 0.0:
             return False
     for column in range(HEIGHT if (call.rules.steps - k) & 1 else 0):
-        for lane in range(block.size):
-            block.after[column, lane] = block.before[column, lane]
+        copy_numbers(block.size, block.before[column], block.after[column])
     return True
 
 
@@ -341,8 +339,7 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         new_time[k] = time[k] + rules.dt
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
-    for k in range(count if rules.decisions < math.inf else 0):
-        after[DECISIONS, k] = before[DECISIONS, k]
+    copy_numbers(count if rules.decisions < math.inf else 0, before[DECISIONS], after[DECISIONS])
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):

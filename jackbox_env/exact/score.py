@@ -3,9 +3,9 @@
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
 or :func:`observe_rows` after the last one; a single environment is a block of one row. They are called by their address
 (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with its functions in place
-of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run`` is compiled once. For
-a user's observation :func:`observe_values` replaces :func:`observe`. The default observation has a block function of
-its own, :func:`observe_block`.
+of :func:`task_terms`, :func:`task_over`, :func:`observation_values` and :func:`action_torque`, while ``run`` is
+compiled once. For a user's observation :func:`observe_values` replaces :func:`observe`. The default observation has a
+block function of its own, :func:`observe_block`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,23 @@ from jackbox_env.exact.workspace import (
     scene_at,
 )
 from jackbox_env.jit.compiler import called_at, numbers_in
-from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State, total
+from jackbox_env.model.states import (
+    THETA_BOX,
+    THETA_JACK,
+    Array,
+    Counts,
+    Flags,
+    Floats,
+    State,
+    add_numbers,
+    copy_numbers,
+    total,
+)
 
+# In place of those of the C library in the functions of built-in observations.
+COSINES: dict[str, Any] = {"cosine_and_sine": cos_sin, "less_turns": without_turns}
 block_observer = called_at(lambda t: t.i8(t.f8[:, ::1], t.f8[:, ::1], t.i8, t.f8[:, ::1], t.i8, t.f4[:, ::1]))
 LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation
 
@@ -44,34 +56,14 @@ def state_in(row: Array) -> State:
 
 
 def observe(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
-    """Write the ten numbers of a state; whether none of them is NaN. Replaced if another observation is compiled."""
-    named = state_in(state)
-    cosine, sine = cos_sin(named.theta_box)
-    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
-    return True
-
-
-def observe_landing(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
-    """Write the ten numbers and the landing features of a state."""
-    named = state_in(state)
-    cosine, sine = cos_sin(named.theta_box)
-    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
-    duration, relative, world = at_landing(scene, named)
-    cosine_4, sine_4 = cos_sin(relative)
-    cosine_8, sine_8 = cos_sin(2.0 * relative)
-    cosine, sine = cos_sin(world)
-    features = landing_features(
-        scene, named, duration, without_turns(named.theta_box), cosine_4, sine_4, cosine_8, sine_8, cosine, sine
-    )
-    for k in range(len(features)):
-        observation[10 + k] = features[k]
+    """Write the numbers of a built-in observation; whether none of them is NaN. Replaced if it is a user's."""
+    values = numbers_in(observation_values(scene, state_in(state), time))
+    copy_numbers(len(values), values, observation)
     return True
 
 
 def observation_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """Placeholder for the function of a user's observation, which replaces it when that is compiled."""
+    """Placeholder for the function of an observation, which replaces it when that is compiled."""
     raise NotImplementedError
 
 
@@ -101,8 +93,7 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
     angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
     cosine, sine, cosine_4, sine_4 = scratch[0], scratch[1], scratch[2], scratch[3]
     beyond = 0
-    for k in range(count):
-        cosine[k] = angle[k]
+    copy_numbers(count, angle, cosine)
     for k in range(count):
         cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
     for k in range(count):
@@ -232,8 +223,7 @@ def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) 
 def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> None:
     """Fill in the values of the reward's terms after a step to a state, for the page of ``jackbox play``."""
     earned = numbers_in(task_terms(make_numbers(values), state_in(state), torque, impulse))
-    for term in range(len(earned)):
-        terms[term] = earned[term]
+    copy_numbers(len(earned), earned, terms)
 
 
 def score_block(
@@ -287,6 +277,5 @@ def score_block(
             report[REPORTED_TORQUE] += torque[k]
             report[REPORTED_HITS] += hits[k]
             report[REPORTED_IMPULSE] += impulses[k]
-            for term in range(len(earned)):
-                report[TERMS + term] += earned[term]
+            add_numbers(len(earned), report[TERMS:], 1.0, earned)
     return -1 if unusable else ends

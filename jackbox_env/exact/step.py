@@ -221,10 +221,9 @@ def leave_frame(
         total += abs(state[index])
     if not total < LARGEST:
         return Status.TOO_FAST
-    jack_x = before[X_JACK] + (state[X_JACK] - (before[X_JACK] - before[X_BOX]))
-    jack_y = before[Y_JACK] + (state[Y_JACK] - (before[Y_JACK] - before[Y_BOX]))
-    after[X_BOX], after[Y_BOX] = before[X_BOX] + state[X_BOX], before[Y_BOX] + state[Y_BOX]
-    after[X_JACK], after[Y_JACK] = jack_x, jack_y
+    for box, jack in ((X_BOX, X_JACK), (Y_BOX, Y_JACK)):
+        after[box] = before[box] + state[box]
+        after[jack] = before[jack] + (state[jack] - (before[jack] - before[box]))
     after[THETA_BOX], after[THETA_JACK] = state[THETA_BOX], state[THETA_JACK]
     if params.per_radian > 0.0:
         angle, jack_angle = angles_in_step(before)

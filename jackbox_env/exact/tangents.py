@@ -194,9 +194,11 @@ def change_rates(
     d_gap_rate += box_lever * at[OMEGA_BOX] + lever * at[OMEGA_JACK] - turn_x * vx - turn_y * vy
     box_mass, jack_mass = d[BOX_MASS] / scene.box_mass, d[JACK_MASS] / scene.jack_mass  # relative changes
     box_inertia, jack_inertia = d[BOX_INERTIA] / scene.box_inertia, d[JACK_INERTIA] / scene.jack_inertia
-    d_inverse_mass = box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
-    d_inverse_mass += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
-    d_inverse_mass -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
+    d_inverse_mass = (
+        box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
+        + jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
+        - (box_mass / scene.box_mass + jack_mass / scene.jack_mass)
+    )
     d_impulse = (
         -((1.0 + scene.restitution) * d_gap_rate + d[RESTITUTION] * rate + impulse * d_inverse_mass)
         / inverse_effective_mass

@@ -92,9 +92,8 @@ def at_landing(scene: SceneNumbers, state: State) -> tuple[float, float, float]:
 
 
 def landing_features(
-    scene: SceneNumbers, state: State, time: float, angle: float, cosine_4: float, sine_4: float, cosine_8: float,
-    sine_8: float, cosine_world: float, sine_world: float,
-) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
+    scene: SceneNumbers, state: State, time: float, angle: float, cosines: tuple[float, ...]
+) -> tuple[float, ...]:
     """The numbers of ``FEATURES``, within ``FEATURE_BOUNDS``: the box moves and turns at its present rates.
 
     Args:
@@ -102,14 +101,14 @@ def landing_features(
         state: now.
         time: to the landing [s].
         angle: theta_box less whole turns [rad].
-        cosine_4: of the angles of :func:`at_landing`; the others follow in the order of ``FEATURES``.
+        cosines: and sines of the angles of :func:`at_landing`, six in the order of ``FEATURES``.
     """
     length, speed = scene.box_half_width, scene.speed_scale
     beside = (state.x_jack - state.x_box + (state.vx_jack - state.vx_box) * time) / length
     fall = (scene.gravity * time - (state.vy_jack - state.vy_box)) / speed
     return (
         clipped(0.5 * time * speed / length, 0.5 * LONGEST),
-        cosine_4, sine_4, cosine_8, sine_8, cosine_world, sine_world,
+        *cosines,
         clipped(beside, 2.0),
         clipped(fall, 10.0),
         clipped(state.omega_jack * time / QUARTER, 10.0),

@@ -117,18 +117,29 @@ def bad_observation(observation: Observation, values: Sequence[float]) -> TaskEr
     return TaskError(f"the observation must be numbers, got NaN for {', '.join(map(repr, names))}")
 
 
+def cosine_and_sine(angle: float) -> tuple[float, float]:
+    """The C library's cosine and sine. Compiled code has its own, see ``exact/score.py``."""
+    return math.cos(angle), math.sin(angle)
+
+
+def less_turns(angle: float) -> float:
+    """An angle [rad] less whole turns, by the C library; as above."""
+    return math.remainder(angle, math.tau)
+
+
 def state_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """The ten numbers, with the C library's cosines."""
-    angle, relative = state.theta_box, 4.0 * (state.theta_jack - state.theta_box)
-    return components(scene, state, math.cos(angle), math.sin(angle), math.cos(relative), math.sin(relative))
+    """The ten numbers."""
+    cosine, sine = cosine_and_sine(state.theta_box)
+    cosine_4, sine_4 = cosine_and_sine(4.0 * (state.theta_jack - state.theta_box))
+    return components(scene, state, cosine, sine, cosine_4, sine_4)
 
 
 def landing_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """The ten numbers and the landing features, with the C library's cosines."""
+    """The ten numbers and the landing features."""
     duration, relative, world = at_landing(scene, state)
-    cosine, sine, turned = math.cos(relative), math.sin(relative), math.remainder(state.theta_box, math.tau)
-    angles = cosine, sine, math.cos(2.0 * relative), math.sin(2.0 * relative), math.cos(world), math.sin(world)
-    return state_values(scene, state, time) + landing_features(scene, state, duration, turned, *angles)
+    angles = *cosine_and_sine(relative), *cosine_and_sine(2.0 * relative), *cosine_and_sine(world)
+    features = landing_features(scene, state, duration, less_turns(state.theta_box), angles)
+    return state_values(scene, state, time) + features
 
 
 def components(

@@ -177,7 +177,7 @@ def _located(scene: Scene, state: ArrayLike) -> tuple[Array, float]:
     return array, -clearance(scene, values)
 
 
-def copy_numbers(count: int, source: Numbers, into: Array) -> None:
+def copy_numbers(count: int, source: Numbers, into: Array | Floats) -> None:
     """Copy the first ``count`` numbers."""
     for index in range(count):
         into[index] = source[index]

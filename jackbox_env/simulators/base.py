@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from _thread import get_ident
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored, total
+from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.one_thread import ThreadNote, in_use
 
@@ -54,11 +53,6 @@ def end_of_step(time: float, dt: float) -> float:
     if not (end != time and end <= LATEST_TIME):
         raise ValueError(f"dt must move the time and end by {LATEST_TIME:g} s, got {dt:g} at t = {time:g} s")
     return end
-
-
-def total_impulse(impacts: Sequence[Impact]) -> float:
-    """Sum of the impulses [N s], added in order as the compiled code does."""
-    return total([impact.impulse for impact in impacts])
 
 
 class StepResult(NamedTuple):

@@ -21,10 +21,9 @@ from jackbox_env.model.observation import (
 )
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, State
+from jackbox_env.model.states import Array, State, total
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 from jackbox_env.simulators import Impact, Simulator
-from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
 Observed = NDArray[Any]  # float32, or uint8 pictures
@@ -137,7 +136,7 @@ class PlainFunctions(Functions):
     @override
     def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, observed: bool) -> ControlStep:
         stored, time, mean, impacts = simulator.step_checked(dt, torque)
-        after, impulse = State(*stored), total_impulse(impacts) if impacts else 0.0
+        after, impulse = State(*stored), total([impact.impulse for impact in impacts]) if impacts else 0.0
         terms, over = self.score(after, mean, impulse)
         observation = (
             observe_named(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION

@@ -15,7 +15,7 @@ from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import settle_and_advance
 from jackbox_env.exact.pcg64 import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK_INERTIA, JACK_MASS, restart_blocks
-from jackbox_env.exact.score import observe_landing, score_one, state_in
+from jackbox_env.exact.score import COSINES, observe_one, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT, HEIGHT, Workspace, make_numbers
@@ -102,8 +102,11 @@ def score(buffer: Any) -> None:
 def observe(buffer: Any, observation: Any) -> None:
     """Write the numbers of ``observation="landing"`` of AFTER, which trained agents observe."""
     d = array(buffer, (LENGTH,))
-    scene = make_numbers(d[SCENE_AT : SCENE_AT + SCENE])
-    observe_landing(scene, d[AFTER : AFTER + 12], d[TIME], array(observation, (OBSERVED,)))
+    observe_one(d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[TIME], array(observation, (OBSERVED,)))
+
+
+# For which it is compiled.
+LANDING: dict[str, Any] = {"observation_values": OBSERVATIONS["landing"].values, **COSINES}
 
 
 def start(buffer: Any, numbers: Any, words: Any) -> None:
