@@ -70,10 +70,7 @@ class SceneTable:
         if self.several or self.count == 1:
             return self
         twin = SceneTable(self.originals, True, shape, self.count, self.dt)
-        twin.values[:] = self.values
-        twin.scene_params[:] = self.scene_params
-        twin.drives = self.drives * self.count
-        twin._derive_kinds()
+        twin.set_scenes(np.arange(self.count), [self.scene(0)] * self.count)
         return twin
 
     @property

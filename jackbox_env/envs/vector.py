@@ -316,7 +316,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
-        waiting = self._over() if self._waiting else None
+        waiting = self._waiting_episodes() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
             checked = actions_of(self.num_envs, self._interface.action, actions, waiting)
@@ -375,9 +375,9 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def _over(self) -> Flags | None:
+    def _waiting_episodes(self) -> Flags | None:
         """The finished episodes that wait; None if there are none."""
-        waiting = self._batch.over
+        waiting = self._batch.ended
         if not waiting.any():
             return None
         if self._mode is AutoresetMode.DISABLED:

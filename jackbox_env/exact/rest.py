@@ -297,7 +297,7 @@ def advance_held(
         limits = Limits(curvature_while_held(scene, memory.held.series, length), end, 0.5 * tolerances.tolerance)
         event = first_of_all(scene, memory, flight, view, ALL, event, limits, -math.inf)
         end = event.time
-    if event.kind == UNDECIDED or memory.evaluations > MOST_WORK:
+    if event.outcome == UNDECIDED or memory.evaluations > MOST_WORK:
         return why_undecided(memory), 0.0
     for contact in range(count):
         impulse = max(scaled_impulse(memory.held, contact, end / length) / length, 0.0)
@@ -305,7 +305,7 @@ def advance_held(
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
     ended = Status.DONE
-    if event.kind == IMPACT:
+    if event.outcome == IMPACT:
         memory.evaluations += 1.0
         ended = resolve(scene, memory, log, resolution, event.wall, event.foot)
     elif released >= 0 and end == 0.0:

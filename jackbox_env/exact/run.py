@@ -44,7 +44,7 @@ from jackbox_env.exact.workspace import (
     scene_at,
 )
 from jackbox_env.jit.compiler import inlined
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import LATEST_TIME, Array, Flags, copy_numbers
@@ -363,7 +363,7 @@ def stop_rows(rules: Rules, block: Block, made: int) -> None:
     separated, hits, over = block.scratch[SEPARATED], block.scratch[HITS], block.after[OVER]
     for k in range(block.size):
         separated[k] = 1.0 if hits[k] == 0.0 or (made > 1 and separated[k] != 0.0) else 0.0
-        if over[k] == 0.0 and is_over(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
+        if over[k] == 0.0 and ends_decision(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
             over[k] = STOPPED
 
 

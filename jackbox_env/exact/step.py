@@ -290,7 +290,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         flight = flight_of(scene, memory.state, piece, since)
         rest_resolution = -math.inf if none_rests else resolution
         event = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
-        if event.kind == AT_REST:
+        if event.outcome == AT_REST:
             ended, time = advance_resting(scene, memory, log, piece, flight, horizon, tolerances, resolution)
             if ended == Status.FREE:
                 none_rests = True
@@ -302,9 +302,9 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         none_rests = False
         memory.held.released = 0
-        if event.kind == UNDECIDED:
+        if event.outcome == UNDECIDED:
             return why_undecided(memory)
-        if event.kind == NO_IMPACT:
+        if event.outcome == NO_IMPACT:
             if untouched and horizon == remaining:
                 return Status.FREE
             evolve(memory, flight, horizon)  # without an impact

@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from jackbox_env.model.scene import Scene, SceneNumbers, remainder
-from jackbox_env.model.states import Array, State
+from jackbox_env.model.states import State
 
 QUARTER = 0.5 * math.pi
 LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
@@ -121,7 +119,7 @@ def clipped(value: float, bound: float) -> float:
     return bound if value > bound else -bound if value < -bound else value
 
 
-def is_over(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> Any:
+def ends_decision(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> Any:
     """Whether an impact ends a decision after so many steps; of one decision, or of arrays.
 
     Args:
@@ -132,9 +130,3 @@ def is_over(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> 
             ends it.
     """
     return struck & (max_contact_steps > 0) & (separated | (steps >= max_contact_steps))
-
-
-def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:
-    """:func:`aim` from states, shape (n, 12), at angles [rad] and rates [rad/s], shape (n, 2): shape (n,)."""
-    rows = zip(states.tolist(), targets.tolist(), strict=True)
-    return np.array([aim(scene, State(*row), angle, rate, duration) for row, (angle, rate) in rows])

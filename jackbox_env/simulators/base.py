@@ -94,11 +94,12 @@ class Simulator(ABC):
     room: ClassVar[int]  # [bytes] of memory of one environment, about
     compiled: ClassVar[bool] = False  # whether rewards and observations are computed in compiled code, by its steps
 
-    def __init__(self, scene: Scene, **settings: Any) -> None:
+    def __init__(self, scene: Scene) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene, self._inside = scene, ThreadNote()
         # The state and the results of the last step: assigned together, so that an interrupt cannot separate them.
         self._present = StepResult(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
+        self._build_unpickled()
 
     @property
     def state(self) -> Array:
@@ -197,7 +198,7 @@ class Simulator(ABC):
         """
 
     def _build_unpickled(self) -> None:  # noqa: B027  # some have nothing to build
-        """Build the parts that are not pickled."""
+        """Build the parts that are not pickled, from the scene and the settings."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("scene", *self.settings, "_present")}

@@ -177,11 +177,6 @@ class ExactSimulator(Simulator):
     compiled = True
     _states: Sequence[Array] = ()
 
-    def __init__(self, scene: Scene) -> None:
-        """Start at rest in the middle of the box, each foot facing a corner."""
-        super().__init__(scene)
-        self._build_unpickled()
-
     @override
     def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:
         present, set_for = self._present, self._set_for

@@ -17,7 +17,7 @@ from jackbox_env.model.observation import (
     OBSERVATIONS,
     STATE,
     Observation,
-    observe_named,
+    observe,
 )
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Scene
@@ -74,7 +74,7 @@ class ControlStep(NamedTuple):
     impulse: float  # [N s]
     terms: Sequence[float]  # of the reward
     reward: float
-    over: bool  # whether it terminates the episode
+    terminated: bool  # whether the task ends the episode
     observation: Observed  # at its end, or empty
 
 
@@ -138,9 +138,7 @@ class PlainFunctions(Functions):
         stored, time, mean, impacts = simulator.step_checked(dt, torque)
         after, impulse = State(*stored), total([impact.impulse for impact in impacts]) if impacts else 0.0
         terms, over = self.score(after, mean, impulse)
-        observation = (
-            observe_named(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION
-        )
+        observation = observe(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION
         reward = checked_reward(self.interface.task, terms)
         return new_step(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
 
@@ -163,7 +161,7 @@ class PlainFunctions(Functions):
 
     @override
     def observe(self, state: Array, time: float) -> Observed:
-        return observe_named(self._numbers, State(*state.tolist()), time, self.interface.observation)
+        return observe(self._numbers, State(*state.tolist()), time, self.interface.observation)
 
     @override
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:

@@ -20,7 +20,7 @@ from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT, HEIGHT, Workspace, make_numbers
 from jackbox_env.model.action import landing_share
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.mechanics import energy_of, twice_kinetic
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.scene import SceneNumbers, square_inertia
@@ -141,13 +141,13 @@ def act(
 ) -> None:
     """The trained agent's SHARE of the torque limit in the step from AFTER.
 
-    It decides after ``longest`` steps, or when an impact ends a decision (:func:`jackbox_env.model.landing.is_over`).
+    It decides after ``longest`` steps, or by :func:`jackbox_env.model.landing.ends_decision`.
     STEPS are those since its decision, -1 before the first.
     """
     d = array(buffer, (LENGTH,))
     if 0.0 <= d[STEPS] < longest:
         d[SEPARATED] = max(d[SEPARATED], 1.0 if d[HITS] == 0.0 else 0.0)
-        if is_over(d[STEPS], d[SEPARATED] != 0.0, d[HITS] > 0.0, max_contact_steps):
+        if ends_decision(d[STEPS], d[SEPARATED] != 0.0, d[HITS] > 0.0, max_contact_steps):
             d[STEPS] = -1.0
     if not 0.0 <= d[STEPS] < longest:
         decide(d, array(observation, (OBSERVED,)), weights, values, hidden, outputs)
