@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from agents.policies.network import SHIPPED
-from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, torques
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, state_of, torques
 from agents.policies.value import Value, ValuedSearch, read_value
 from jackbox_env import Scene, Task
-from jackbox_env.model.observation import BOUNDS, state_of
+from jackbox_env.model.observation import BOUNDS
 from jackbox_env.planning.icem import Plans, PlanSearch
 from jackbox_env.tools import checks as check
 

@@ -36,7 +36,7 @@ from jackbox_env.model.action import (
     decisions_of,
     repeat_of,
 )
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.observation import Observation, observation_parts
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.randomization import Randomization, next_scene
@@ -144,7 +144,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer = None
         self._past: Past | None = None  # of the pictures that are observed
-        self._started, self._over, self.elapsed_steps = False, False, 0  # control steps of the episode
+        self._started, self._ended, self.elapsed_steps = False, False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``stored_steps``; None: all
         self.stored_steps = None if render_mode else (pixels or Pixels()).stack
@@ -197,7 +197,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             TypeError, ValueError: unusable values. The environment is unchanged.
         """
         if steps is None:
-            steps = 0 if self._over else self.elapsed_steps
+            steps = 0 if self._ended else self.elapsed_steps
         steps = check.whole("steps", steps, at_least=0, at_most=self.episode_steps)
         self._place(self._model, state, time, steps)
 
@@ -250,7 +250,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         model.simulator.reset(state, time)
         if self._renderer is not None and model.simulator.scene != self.scene:
             self._renderer.show(model.simulator.scene)
-        self._model, self._started, self._over = model, True, steps >= self._limit
+        self._model, self._started, self._ended = model, True, steps >= self._limit
         self.elapsed_steps, self._impacts = steps, None
         self._start_pictures()
 
@@ -295,8 +295,8 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             self._past = self._past.later(np.array([[part.state for part in self.control_steps]]))
             whole = whole._replace(observation=self._pictures(self._past))
         truncated = self.elapsed_steps >= self._limit
-        self._over = whole.over or truncated
-        return whole.observation, whole.reward, whole.over, truncated, self._info(whole, made)
+        self._ended = whole.terminated or truncated
+        return whole.observation, whole.reward, whole.terminated, truncated, self._info(whole, made)
 
     def _decide(
         self, torque: float | None, controls: Array | None, most: float
@@ -322,7 +322,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             values = [part.torque, part.impulse, part.reward, *part.terms]
             sums = list(map(add, sums, values)) if made else values
             made, struck = made + 1, bool(part.impacts)
-            ended = part.over or is_over(made, separated, struck, self.repeat.max_contact_steps)
+            ended = part.terminated or ends_decision(made, separated, struck, self.repeat.max_contact_steps)
             separated = separated or not struck
         mean, impulse, reward, *terms = sums
         whole = part._replace(
@@ -378,10 +378,10 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
 
     def _snapshot(self) -> Snapshot:
         """The environment as it is now, for :meth:`_restore`."""
-        picture = None if self._renderer is None else self._renderer.snapshot()
         return Snapshot(
-            self._model, self._model.simulator.snapshot(), self.elapsed_steps, self._impacts, self._past, picture
-        )
+            self._model, self._model.simulator.snapshot(), self.elapsed_steps, self._impacts, self._past,
+            self._renderer and self._renderer.snapshot(),
+        )  # fmt: skip
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Return to the moment of a :meth:`_snapshot`."""
