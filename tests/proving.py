@@ -219,26 +219,25 @@ class Distance(NamedTuple):
 
     time: float  # of the first impact [units of rounding]
     position: float  # of its foot from where the wall is at that time [m]
-    state: float  # the last one [units of rounding]
     refuted: str  # the reason, or empty
 
 
 def distance(case: Case, proof: Proof, computed: Computed) -> Distance:
     """Compare float64 with a proof; a unit of rounding of a number x is eps max(1, |x|)."""
-    time = position = state = 0.0
+    time = position = 0.0
     if not proof.decided:
-        return Distance(time, position, state, proof.why)
+        return Distance(time, position, proof.why)
     whole = len(case.torques) > 1
     few = 5 if whole else None  # chaos multiplies float64's errors with every impact
     struck, true = pairs(computed.impacts)[:few], pairs(proof.impacts)[:few]
     if struck != true:
-        return Distance(time, position, state, f"impacts {struck} where {true} are proven")
+        return Distance(time, position, f"impacts {struck} where {true} are proven")
     if struck:
         hit, first = computed.impacts[0], proof.impacts[0]
         unit, off = EPS * max(1.0, abs(hit.time)), abs(float(hit.time - first.time))
         time, position = off / unit, abs(float(first.rate)) * max(0.0, off - unit)
         if not position <= 2.0 * CLOSE * max(1.0, case.scene.box_half_width):
-            return Distance(time, position, state, f"a first impact {off:.3g} s off")
+            return Distance(time, position, f"a first impact {off:.3g} s off")
     if not whole:
         ends = list(zip(proof.states[-1], computed.state.tolist(), strict=True))
         state = max(abs(float(ball - number)) / (EPS * max(1.0, abs(number))) for ball, number in ends)
@@ -247,8 +246,8 @@ def distance(case: Case, proof: Proof, computed: Computed) -> Distance:
         late = abs(case.time) * chirp.torque_bound / case.scene.box_inertia if chirp else 0.0
         growth = max(1.0, rounded, late)  # the last: a chirp's time is rounded too
         if not state <= FAR * growth:
-            return Distance(time, position, state, f"a last state {state:.3g} units of rounding off")
-    return Distance(time, position, state, "")
+            return Distance(time, position, f"a last state {state:.3g} units of rounding off")
+    return Distance(time, position, "")
 
 
 def change(proof: Proof, computed: Computed) -> float:
@@ -342,12 +341,11 @@ def tally_of(name: str, seed: int, share: int) -> Tally:
 
 def page(tallies: dict[str, Tally], seed: int) -> str:
     """The table, and sentences on what it leaves out."""
-    heads = ("regime", "steps", "impacts", "proven", "undecided", "refuted", "first impacts", "last states")
+    heads = ("regime", "steps", "impacts", "proven", "undecided", "refuted", "first impacts")
     rows = [
         (
             name, *(f"{n:,}" for n in (tally.steps, tally.impacts, tally.proven)), f"{tally.undecided.total():,}",
             f"{len(tally.refuted):,}", spread([apart.time for apart in tally.distances if apart.time]),
-            spread([apart.state for apart in tally.distances if apart.state]),
         )
         for name, tally in tallies.items()
     ]  # fmt: skip

@@ -78,11 +78,12 @@ A task of your own may draw other starts.
 ## Episode End
 
 The episode never terminates, unless a task of your own ends it. It is truncated after `episode_steps` control
-steps, by default 500 (10 s), wherever the environment is made; None: never. `env.spec.max_episode_steps` is the
-number of decisions: 125 with `action_repeat=4`; None with `"bounce"`. Gymnasium's own `max_episode_steps=n` adds a
-wrapper outside that truncates after n decisions, so it can only shorten an episode: with 1000 the `spec` then has
-1000, but the episode ends after 500. To make a spec again with other `episode_steps` or `action_repeat`, add
-`max_episode_steps=-1`.
+steps, by default 500 (10 s), wherever the environment is made; None: never.
+
+Gymnasium counts decisions instead. `env.spec.max_episode_steps` is their number: 125 with `action_repeat=4`; None
+with `"bounce"`. `gymnasium.make(..., max_episode_steps=n)` sets it to n and adds a wrapper that truncates after n
+decisions, so it can shorten an episode but not lengthen it. To make a spec again with other `episode_steps` or
+`action_repeat`, add `max_episode_steps=-1`.
 
 If the jack would leave the box, `step` raises `JackLostError`, a RuntimeError. In the default scene 10 s of torque
 cannot make it fast enough for that.

@@ -164,12 +164,20 @@ def filled(results: Mapping[str, Any]) -> dict[str, Any]:
     on_top, impacts = results["on_top"], results["impacts"]
     plain = {model: statistics.median(values) for model, values in results["plain"]["a plain step"].items()}
     more = impacts["long arm"] - impacts["usual"]
+    little = [
+        what
+        for what, costs in on_top.items()
+        if all(abs(statistics.median(values)) < 0.1 * plain[model] for model, values in costs.items())
+    ]
     rows = [[what, *(cell(costs.get(model)) for model in MODELS)] for what, costs in on_top.items()]
     return {
         "table": table(
             ("on top of a plain step [ns]", *MODELS),
-            [["**a plain step**", *(f"**{figure(plain[model])}**" for model in MODELS)], *rows],
+            [
+                ["**a plain step**", *(f"**{figure(plain[model])}**" for model in MODELS)],
+                *(row for row in rows if row[0] not in little),
+            ],
         ),
-        "impacts": impacts,
+        "little": "; ".join(little),
         "each": ", ".join(f"{figure(statistics.median(on_top[ARM][m]) / more)} ns ({m})" for m in on_top[ARM]),
     }
