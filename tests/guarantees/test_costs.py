@@ -63,7 +63,11 @@ def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
 
     def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
-        return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
+        if _compiled.reachable_names(function).isdisjoint(dict(instead)):
+            return function
+        called = {name: function.__globals__.get(name) for name in _compiled.used_names(function.__code__)}
+        ours = {name: plain(one, instead, keep) for name, one in called.items() if isinstance(one, FunctionType)}
+        return FunctionType(function.__code__, {**function.__globals__, **ours, **dict(instead)})
 
     before = _compiled._compiled_once
     _compiled._compiled_once = plain  # type: ignore[assignment]
