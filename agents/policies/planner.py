@@ -95,8 +95,8 @@ class Planner:
         new = np.flatnonzero(np.broadcast_to(starts, count))
         plans = plans.replaced(new, self.search.begin(len(new)))
         states = np.array([state_of(self._scene, row) for row in rows.tolist()])
-        best, plans = self.search.decide(self._scene, states, plans)
-        actions = torques(best.plans[:, 0])
+        best, _, plans = self.search.decide(self._scene, states, plans)
+        actions = torques(best[:, 0])
         return actions if np.ndim(observation) == 2 else actions[0], plans
 
     @property

@@ -109,14 +109,6 @@ def rollout(
 @overload
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
-    *, energy: bool = False, impacts: bool = False, rewards: None = None, repeat: int = 1,
-    trajectories: Literal[False], num_threads: int | None = None, device: str | None = None,
-) -> Rollout[None, None]: ...  # fmt: skip
-
-
-@overload
-def rollout(
-    scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task | None = None, repeat: int = 1,
     trajectories: bool = True, num_threads: int | None = None, device: str | None = None,
 ) -> Array | Rollout[Array | None, Counts | None]: ...  # fmt: skip
