@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from jackbox_env.envs import reference
 from jackbox_env.envs.arguments import options_of
 from jackbox_env.envs.infos import Infos
-from jackbox_env.envs.settings import Settings
+from jackbox_env.envs.keys import keys_of
+from jackbox_env.envs.settings import VECTOR_ONLY, Settings
 from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
 from jackbox_env.model.action import (
@@ -39,7 +40,7 @@ from jackbox_env.model.action import (
 from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.observation import Observation, observation_parts
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import Randomization, next_scene
+from jackbox_env.model.randomization import Randomization, Randomize, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.render.raster import Past
@@ -50,15 +51,6 @@ from jackbox_env.simulators.plain_functions import ControlStep, Functions, Inter
 from jackbox_env.tools import checks as check
 
 AnyAction = Observed | float | None
-# Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
-VECTOR_ONLY = dict.fromkeys(
-    ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
-    'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
-)
-_KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the right arrow key
-    ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
-}  # fmt: skip
-Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
 class Model(NamedTuple):
@@ -183,9 +175,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
     @property
     def observation(self) -> Observed:
         """The observation of the present state: a fresh array."""
-        if self._past is not None:
-            return self._pictures(self._past)
-        return self._model.functions.observe(self.state, self.time)
+        return self._pictures(self._past) if self._past else self._model.functions.observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0, steps: int | None = None) -> None:
         """Set the state, shape (12,), and the time [s], exactly. The episode continues; a finished one starts anew.
@@ -231,7 +221,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         super().reset(seed=seed)
         self._np_random = generator
         self._place(model, state, time)
-        observation = observation if self._past is None else self._pictures(self._past)
+        observation = self._pictures(self._past) if self._past else observation
         if self.render_mode == "human":
             self.render()
         none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
@@ -361,20 +351,8 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
 
         With the action "discrete" use ``play(..., noop=1)``: its default, 0, is the action of the right key.
-
-        Raises:
-            AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
         """
-        if self.interface.action not in _KEYS:
-            raise AttributeError("there are keys for action='torque' and 'discrete' only")
-        left, right = _KEYS[self.interface.action]
-
-        def keys() -> dict[tuple[int, ...], AnyAction]:
-            import pygame
-
-            return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
-
-        return keys
+        return keys_of(self.interface.action)
 
     def _snapshot(self) -> Snapshot:
         """The environment as it is now, for :meth:`_restore`."""

@@ -30,11 +30,11 @@ from jackbox_env.envs.batch import EpisodeLimits
 from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.one_by_one import SingleBatch
 from jackbox_env.envs.settings import ReadOnly, Settings
-from jackbox_env.envs.single import JackInBoxEnv, Randomize
+from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.model.action import EPISODE_STEPS, Action, Repeats, decisions_of
 from jackbox_env.model.observation import Observation
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import NUMBERS, Randomization
+from jackbox_env.model.randomization import NUMBERS, Randomization, Randomize
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices, as_restored
 from jackbox_env.model.tasks import Task
