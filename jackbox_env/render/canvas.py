@@ -63,8 +63,7 @@ class Canvas:
     def pixels(self) -> NDArray[np.uint8]:
         """Return the frame as a fresh array, shape (height, width, 3)."""
         self._packed.blit(self.surface, (0, 0))  # faster than a copy of each colour by numpy
-        frame: NDArray[np.uint8] = pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
-        return frame
+        return pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
 
     def line(self, at: float, axis: int, darker: Colour) -> None:
         """Darken a line of 1 px across the whole frame, where x (axis 0) or y (1) is ``at`` [px]."""
