@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.samples import samples_of
-from jackbox_env.render.canvas import SIZE, import_pygame
+from jackbox_env.render.canvas import SIZE
 from jackbox_env.render.renderer import Renderer
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import bar
@@ -29,12 +29,10 @@ def check_film(path: Path) -> None:
         FileExistsError: there is something at ``path``.
         OSError: there is no such folder, or nothing can be written to it.
         ImportError: the extra video is missing.
-        gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"a film must be a .gif or .mp4 file, got {str(path)!r}")
     check_new_file(path)
-    import_pygame()
     with check.extra(*_VIDEO):
         import imageio_ffmpeg  # type: ignore[import-untyped]  # noqa: F401
 

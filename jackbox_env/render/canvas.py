@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from types import ModuleType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
@@ -18,8 +16,11 @@ from numpy.typing import NDArray
 
 from jackbox_env.tools.colours import Colour
 
-if TYPE_CHECKING:
+try:
     import pygame
+    import pygame.font
+except ImportError as error:
+    raise DependencyNotInstalled("drawing needs pygame: pip install pygame-ce") from error
 
 SIZE = 512  # [px] width and height of a frame by default
 
@@ -30,32 +31,15 @@ TRACK: Colour = (205, 212, 222)
 _FINER = 4  # letters are drawn so many times as large: at their own size whole pixels leave uneven gaps
 
 
-def import_pygame() -> ModuleType:
-    """Return pygame.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: pygame is missing; the message names what to install.
-    """
-    try:
-        import pygame
-        import pygame.font
-    except ImportError as error:
-        raise DependencyNotInstalled("drawing needs pygame: pip install pygame-ce") from error
-    return pygame
-
-
 @lru_cache
 def _font(size: int) -> pygame.font.Font:
-    fonts = import_pygame().font
-    fonts.init()
-    font: pygame.font.Font = fonts.Font(None, size)  # the one that comes with pygame
-    return font
+    pygame.font.init()
+    return pygame.font.Font(None, size)  # the one that comes with pygame
 
 
 @lru_cache(maxsize=256)
 def written(text: str, size: int, colour: Colour) -> pygame.Surface:
     """A text in letters of a size [px]."""
-    pygame = import_pygame()
     try:
         large = _font(_FINER * size).render(text, True, colour)
     except pygame.error:  # somebody else in this process has called pygame.quit()
@@ -70,21 +54,16 @@ class Canvas:
 
     Args:
         size: width and height of the frame [px].
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
 
     def __init__(self, size: tuple[int, int] = (SIZE, SIZE)) -> None:
-        self.pygame = import_pygame()
-        self.surface: pygame.Surface = self.pygame.Surface(size, 0, 32)
-        self._packed: pygame.Surface = self.pygame.Surface(size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # bytes r, g, b
+        self.surface = pygame.Surface(size, 0, 32)
+        self._packed = pygame.Surface(size, 0, 24, (0xFF, 0xFF00, 0xFF0000, 0))  # bytes r, g, b
 
     def pixels(self) -> NDArray[np.uint8]:
         """Return the frame as a fresh array, shape (height, width, 3)."""
         self._packed.blit(self.surface, (0, 0))  # faster than a copy of each colour by numpy
-        frame: NDArray[np.uint8] = self.pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
-        return frame
+        return pygame.surfarray.pixels3d(self._packed).transpose(1, 0, 2).copy()
 
     def line(self, at: float, axis: int, darker: Colour) -> None:
         """Darken a line of 1 px across the whole frame, where x (axis 0) or y (1) is ``at`` [px]."""
@@ -92,11 +71,11 @@ class Canvas:
         for pixel in range(first, first + 1 + halves):
             area = (pixel, 0, 1, self.surface.get_height()) if axis == 0 else (0, pixel, self.surface.get_width(), 1)
             share = [part // (1 + halves) for part in darker]
-            self.surface.fill(share, area, self.pygame.BLEND_SUB)
+            self.surface.fill(share, area, pygame.BLEND_SUB)
 
     def polygon(self, corners: Sequence[complex], colour: Colour) -> None:
         """Fill a polygon, its edges included."""
-        self.pygame.draw.polygon(self.surface, colour, [(round(one.real), round(one.imag)) for one in corners])
+        pygame.draw.polygon(self.surface, colour, [(round(one.real), round(one.imag)) for one in corners])
 
     def band(self, start: complex, end: complex, width: float, colour: Colour) -> None:
         """Draw a band of some width [px] with square ends."""
@@ -108,8 +87,8 @@ class Canvas:
             self.polygon([start + inner, end + inner, end - inner, start - inner], colour)
         beside = 0.5j * along * max(0.0, width - 1.0)
         for side in (inner, -inner, beside, -beside) if width > 4.0 else (beside, -beside):
-            ends = [(one.real, one.imag) for one in (start + side, end + side)]
-            self.pygame.draw.aaline(self.surface, colour, *ends)
+            first, last = start + side, end + side
+            pygame.draw.aaline(self.surface, colour, (first.real, first.imag), (last.real, last.imag))
 
     def disc(self, centre: complex, radius: float, colour: Colour) -> None:
         """Draw a disc."""
@@ -121,20 +100,19 @@ class Canvas:
     def glow(self, centre: complex, radius: float, share: float, colour: Colour) -> None:
         """Draw a ring and a disc in it, as opaque as ``share``, from 0 to 1."""
         reach = max(2, round(2.0 * radius))
-        image = self.pygame.Surface((2 * reach, 2 * reach), self.pygame.SRCALPHA)
+        image = pygame.Surface((2 * reach, 2 * reach), pygame.SRCALPHA)
         for part, width, opacity in ((0.6, 0, 200), (1.0, 4, 230)):
-            self.pygame.draw.circle(image, (*colour, round(opacity * share)), (reach, reach), part * reach, width)
-        small = self.pygame.transform.smoothscale(image, (reach, reach))
+            pygame.draw.circle(image, (*colour, round(opacity * share)), (reach, reach), part * reach, width)
+        small = pygame.transform.smoothscale(image, (reach, reach))
         self.surface.blit(small, (round(centre.real - 0.5 * reach + 0.5), round(centre.imag - 0.5 * reach + 0.5)))
 
 
 @lru_cache(maxsize=4096)
 def _disc(radius: int, colour: Colour, right: int, down: int) -> pygame.Surface:
     """A disc of a radius in sixteenths of a pixel, its centre so many quarters of a pixel off that of the image."""
-    game, reach = import_pygame(), radius // 16 + 2
-    large = game.Surface((8 * (2 * reach + 1), 8 * (2 * reach + 1)), game.SRCALPHA)
+    reach = radius // 16 + 2
+    large = pygame.Surface((8 * (2 * reach + 1), 8 * (2 * reach + 1)), pygame.SRCALPHA)
     large.fill((*colour, 0))
     centre = 8 * reach + 4 + 2 * right, 8 * reach + 4 + 2 * down
-    game.draw.circle(large, colour, centre, max(1, radius // 2))
-    image: pygame.Surface = game.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1))
-    return image
+    pygame.draw.circle(large, colour, centre, max(1, radius // 2))
+    return pygame.transform.smoothscale(large, (2 * reach + 1, 2 * reach + 1))

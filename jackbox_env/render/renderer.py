@@ -2,8 +2,8 @@
 
 The camera follows the box's centre, so the box stays in the middle of the picture and turns there. Ruled lines fixed to
 the world move past it as it sinks. One foot of the jack has another colour, so that the cross visibly turns. A small
-frame has no text. Without the overlay a frame is box, jack and ruled lines alone. pygame is imported when the first
-`Renderer` is made and used off-screen: only the human mode opens a window.
+frame has no text. Without the overlay a frame is box, jack and ruled lines alone. pygame is
+imported with this file and used off-screen: only the human mode opens a window.
 
 Points in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """
@@ -16,7 +16,7 @@ import math
 import os
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,6 @@ from jackbox_env.render.canvas import INK, PALE_INK, SIZE, TRACK, Canvas, writte
 from jackbox_env.render.raster import LEAST_WALL, REACH, WALL_WIDTH
 from jackbox_env.simulators.base import Impact
 from jackbox_env.tools.colours import FIRST_FOOT, JACK, TORQUE, WALL, Colour
-
-if TYPE_CHECKING:
-    import pygame
-
 
 # Layout [px] of a frame of 512 x 512, scaled in others: text in the corners, the rest for the box, which turns freely.
 _MARGIN = 10.0
@@ -99,9 +95,6 @@ class Renderer:
         task: its name, which is written into the frame.
         size: width and height of the frame [px].
         overlay: draw readings, trail and flashes too; below 400 px only trail, flashes and the torque's gauge.
-
-    Raises:
-        gymnasium.error.DependencyNotInstalled: pygame is missing.
     """
 
     def __init__(
@@ -246,7 +239,7 @@ class Renderer:
         if self._overlay:
             self._draw_gauge(canvas)
         if self._lettered:
-            self._write_readings(canvas.surface)
+            self._write_readings(canvas)
         return canvas
 
     def close(self) -> None:
@@ -256,7 +249,8 @@ class Renderer:
         self._canvas = self._window = self._clock = None
 
     def _show(self, canvas: Canvas) -> None:
-        pygame = canvas.pygame
+        import pygame
+
         try:
             shown = self._window and self._window.get_surface()
         except pygame.error:  # somebody else has called pygame.quit()
@@ -345,27 +339,27 @@ class Renderer:
             side = 0.2 * radius * head * sign / 20.0
             canvas.polygon([at(tip), at(tip - head, side), at(tip - head, -side)], TORQUE)
 
-    def _write_readings(self, surface: pygame.Surface) -> None:
+    def _write_readings(self, canvas: Canvas) -> None:
         unit, symbol = _unit(self._scene.torque_limit, "N m")
         left, right = _MARGIN * self._px, self._size[0] - _MARGIN * self._px
         first, second = 18j * self._px, 36j * self._px
         impacts = f"{self._count} impact{'' if self._count == 1 else 's'}"
-        self._write(surface, f"t = {self._time:.2f} s", left + first)
-        self._write(surface, impacts, left + second, 17, PALE_INK)
-        self._write(surface, f"return {_number(self._return)}", right + first, align=1.0)
-        self._write(surface, self._task, right + second, 17, PALE_INK, 1.0)
+        self._write(canvas, f"t = {self._time:.2f} s", left + first)
+        self._write(canvas, impacts, left + second, 17, PALE_INK)
+        self._write(canvas, f"return {_number(self._return)}", right + first, align=1.0)
+        self._write(canvas, self._task, right + second, 17, PALE_INK, 1.0)
         beside = complex(64.0 * self._px, self._size[1])  # the gauge
-        self._write(surface, "torque", beside - 35j * self._px, 17, PALE_INK)
-        self._write(surface, f"{_number(self._torque / unit)} {symbol}", beside - 20j * self._px)
+        self._write(canvas, "torque", beside - 35j * self._px, 17, PALE_INK)
+        self._write(canvas, f"{_number(self._torque / unit)} {symbol}", beside - 20j * self._px)
 
     def _write(
-        self, surface: pygame.Surface, text: str, point: complex, size: float = 22.0, colour: Colour = INK,
+        self, canvas: Canvas, text: str, point: complex, size: float = 22.0, colour: Colour = INK,
         align: float = 0.0,
     ) -> None:  # fmt: skip
         """Write with the left end (align 0) or the right end (1) at ``point``, half way down; all in [px]."""
         image = written(text.replace("-", "\N{MINUS SIGN}"), max(1, round(size * self._px)), colour)
         width, height = image.get_size()
-        surface.blit(image, (round(point.real - align * width), round(point.imag - 0.5 * height)))
+        canvas.surface.blit(image, (round(point.real - align * width), round(point.imag - 0.5 * height)))
 
 
 def tiled(scenes: Sequence[Scene], states: Array, times: Array, size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -252,8 +252,8 @@ def _algorithm_of(kind: type) -> str:
 
 def _spec_of(environments: VecEnv | None) -> EnvSpec:
     """The spec that all environments have."""
-    specs = [] if environments is None else environments.unwrapped.get_attr("spec")
-    if any(spec is None or spec.id != "JackInBox-v0" for spec in specs or [None]):
+    specs: list[EnvSpec] = [] if environments is None else environments.unwrapped.get_attr("spec")
+    if not specs or any(spec is None or spec.id != "JackInBox-v0" for spec in specs):
         raise TypeError(f"save_model needs a model with environments of JackInBox-v0, got {check.shown(environments)}")
     wrappers = {one.name for spec in specs for one in spec.additional_wrappers} - _WITHOUT_EFFECT
     if wrappers:
@@ -266,8 +266,7 @@ def _spec_of(environments: VecEnv | None) -> EnvSpec:
     }
     if differing:
         raise ValueError(f"save_model needs environments with the same {' and '.join(sorted(differing))}, got several")
-    first: EnvSpec = specs[0]
-    return first
+    return specs[0]
 
 
 def _wrappers_of(environments: VecEnv | None) -> list[dict[str, Any]]:

@@ -221,8 +221,7 @@ class EnvView(Settings):
     @property
     def state(self) -> Array:
         """A copy of the 12 state numbers, float64, SI units."""
-        state: Array = self._vector_env.states[self._number]
-        return state.copy()
+        return np.array(self._vector_env.states[self._number])
 
     @property
     def time(self) -> float:
@@ -232,8 +231,7 @@ class EnvView(Settings):
     @property
     def observation(self) -> NDArray[np.float32]:
         """The observation of the present state."""
-        observation: NDArray[np.float32] = self._vector_env.observations[self._number]
-        return observation.copy()
+        return np.array(self._vector_env.observations[self._number])
 
     @property
     def impacts(self) -> list[Impact]:

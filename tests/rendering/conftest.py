@@ -16,9 +16,9 @@ def words(monkeypatch: pytest.MonkeyPatch) -> Words:
     written: Words = {}
     write = Renderer._write
 
-    def noting(renderer: Renderer, surface: Any, text: str, position: complex, *rest: Any, **more: Any) -> None:
+    def noting(renderer: Renderer, canvas: Any, text: str, position: complex, *rest: Any, **more: Any) -> None:
         written[text] = position.real, position.imag
-        write(renderer, surface, text, position, *rest, **more)
+        write(renderer, canvas, text, position, *rest, **more)
 
     monkeypatch.setattr(Renderer, "_write", noting)
     return written
