@@ -63,7 +63,11 @@ def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
 
     def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
-        return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
+        names = {**function.__globals__, **dict(instead)}
+        for name, one in names.items() if instead else ():
+            if isinstance(one, FunctionType) and one.__globals__ is function.__globals__:
+                names[name] = FunctionType(one.__code__, names, name, one.__defaults__)
+        return names[function.__name__] if instead else function
 
     before = _compiled._compiled_once
     _compiled._compiled_once = plain  # type: ignore[assignment]
