@@ -318,7 +318,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         waiting = self._waiting_episodes() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
-            checked = actions_of(self.num_envs, self._interface.action, actions, waiting)
+            checked = actions_of(len(self._started), self._interface.action, actions, waiting)  # faster than num_envs
         infos: Infos = {} if self._with_infos else NoInfos()
         outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:

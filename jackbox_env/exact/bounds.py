@@ -24,7 +24,6 @@ _MARGIN = 1e-9  # of L: more than a contact tolerance, also at angles of 1e6 rad
 class Bounds(NamedTuple):
     """Upper bounds of the motion until a horizon."""
 
-    far: float  # distance of the centres [m]
     centre_curvature: float  # of |(n . r)''|, along a wall's normal [m/s^2]
     foot_curvature: float  # of |(n . o)''| [m/s^2]
 
@@ -53,7 +52,7 @@ def bounds_of(
     centre_curvature = centre_curvature_of(
         flight.vx, flight.vy, flight.omega, far, scene.gravity + max_acceleration, max_angular_acceleration, horizon
     )
-    return Bounds(far, centre_curvature, foot_curvature_of(scene.jack_arm, spin, max_angular_acceleration))
+    return Bounds(centre_curvature, foot_curvature_of(scene.jack_arm, spin, max_angular_acceleration))
 
 
 def foot_curvature_of(arm: float, spin: float, max_angular_acceleration: float) -> float:

@@ -88,12 +88,11 @@ def touching(scene: SceneNumbers, params: StepParameters, state: Array, row: Arr
     if room > resolution and x * x + y * y < (room - resolution) * (room - resolution):
         return CLEAR
     frame, worst = frame_of(state), CLEAR
-    for wall in range(4):
-        for foot in range(4):
-            gap = gradient(scene, frame, wall, foot, row)
-            if gap <= resolution:
-                slow = rate_of(state, row) < SLOW * scene.speed_scale
-                worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -resolution else LEAVING)
+    for pair in range(16):
+        gap = gradient(scene, frame, pair // 4, pair % 4, row)
+        if gap <= resolution:
+            slow = rate_of(state, row) < SLOW * scene.speed_scale
+            worst = max(worst, APPROACHING if slow else OUTSIDE if gap < -resolution else LEAVING)
     return worst
 
 

@@ -249,7 +249,7 @@ def score_block(
     torque, hits, impulses, unusable = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM], 0
     ends, count = 0, min(after.shape[1], rewards.shape[0] - first)
     rewards, terminations = rewards[first : first + count], terminations[first : first + count]  # of the block
-    if not (values.shape[0] > 1 or waiting):
+    if not (values.shape[0] > 1 or waiting or reports.shape[0]):
         scene = make_numbers(values[0])
         for k in range(count):
             rewards[k] = total(numbers_in(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k])))
@@ -261,21 +261,20 @@ def score_block(
         for k in range(count):
             rewards[k] = 0.0
             if over[k] == 0.0:
-                row_scene = scene_at(values, first + k)
-                rewards[k] = total(numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])))
-                if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
+                scene, state = scene_at(values, first + k), state_in(after[:, k])
+                earned = numbers_in(task_terms(scene, state, torque[k], impulses[k]))
+                rewards[k] = total(earned)
+                if task_over(scene, state, torque[k], impulses[k]):
                     terminations[k] = True
                     ends += 1
+                if reports.shape[0]:
+                    report = reports[first + k]
+                    if made == 0:  # -0.0 stays -0.0
+                        report[:] = -0.0
+                    report[REPORTED_TORQUE] += torque[k]
+                    report[REPORTED_HITS] += hits[k]
+                    report[REPORTED_IMPULSE] += impulses[k]
+                    add_numbers(len(earned), report[TERMS:], 1.0, earned)
     for k in range(count):
         unusable += 0 if abs(rewards[k]) < math.inf else 1
-    for k in range(count if reports.shape[0] else 0):
-        if over[k] == 0.0:
-            report = reports[first + k]
-            earned = numbers_in(task_terms(scene_at(values, first + k), state_in(after[:, k]), torque[k], impulses[k]))
-            if made == 0:  # -0.0 stays -0.0
-                report[:] = -0.0
-            report[REPORTED_TORQUE] += torque[k]
-            report[REPORTED_HITS] += hits[k]
-            report[REPORTED_IMPULSE] += impulses[k]
-            add_numbers(len(earned), report[TERMS:], 1.0, earned)
     return -1 if unusable else ends

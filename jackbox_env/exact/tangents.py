@@ -70,10 +70,9 @@ def fly_tangent(scene: SceneNumbers, tangent: Array, s: float, drift: Array) -> 
         tangent[OMEGA_BOX, column] += (s * torque - drift[5] * box_inertia) / inertia
         tangent[Y_JACK, column] -= half * tangent[GRAVITY, column]
         tangent[VY_JACK, column] -= s * tangent[GRAVITY, column]
-        tangent[X_BOX, column] -= drift[0] / mass * tangent[BOX_MASS, column]
-        tangent[Y_BOX, column] -= drift[1] / mass * tangent[BOX_MASS, column]
-        tangent[VX_BOX, column] -= drift[3] / mass * tangent[BOX_MASS, column]
-        tangent[VY_BOX, column] -= drift[4] / mass * tangent[BOX_MASS, column]
+        for axis in range(2):
+            tangent[axis, column] -= drift[axis] / mass * tangent[BOX_MASS, column]
+            tangent[RATES + axis, column] -= drift[3 + axis] / mass * tangent[BOX_MASS, column]
 
 
 def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: Array, by_field: Array) -> float:

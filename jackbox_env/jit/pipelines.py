@@ -284,14 +284,14 @@ def jitted(twin: FunctionType, inner: bool, inline: bool, checked: bool, on_disk
     thirds of a step. And without entry points from Python for ``inner`` functions, which only compiled code calls: they
     take a third of the time to compile.
     """
-    pipeline = InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler
     options: dict[str, Any] = {
-        "no_cpython_wrapper": inner, "no_cfunc_wrapper": inner, "forceinline": inline, "pipeline_class": pipeline,
+        "no_cpython_wrapper": inner, "no_cfunc_wrapper": inner, "forceinline": inline,
+        "pipeline_class": InnerCompiler if inner else PackageCompiler if on_disk else FreedCompiler,
     }  # fmt: skip
-    model = "python" if checked else "numpy"
     dispatcher = cast(Any, njit)(
-        nogil=True, error_model=model, boundscheck=checked, _nrt=False, **({} if LACKING else options)
-    )(twin)
+        nogil=True, error_model="python" if checked else "numpy", boundscheck=checked, _nrt=False,
+        **({} if LACKING else options),
+    )(twin)  # fmt: skip
     dispatcher.__class__ = _uncut(cast(Any, type(dispatcher)))
     return dispatcher
 

@@ -101,8 +101,7 @@ class Action:
             row, column = np.argwhere(unusable)[0].tolist()
             where = "" if count is None else f" for environment {row}"
             raise ValueError(f"action must be {one}, got {values[row, column]}{where}")
-        clipped: Array = np.clip(values.astype(np.float64), low, high)
-        return np.ascontiguousarray(clipped.T)
+        return np.ascontiguousarray(np.clip(values.astype(np.float64), low, high).T)
 
     def share(self, scene: SceneNumbers, state: State, action: Array, time: float, dt: float) -> float:
         """The torque over its limit, unclipped, in plain Python; ``action`` as of :meth:`checked`, shape (n,).

@@ -151,8 +151,8 @@ def test_a_search_with_a_tenth_of_its_bound_is_refuted(monkeypatch: pytest.Monke
         ]
 
     def brazen(*arguments: Any) -> bounds.Bounds:
-        far, centre, foot = honest(*arguments)
-        return bounds.Bounds(far, 0.1 * centre, 0.1 * foot)
+        centre, foot = honest(*arguments)
+        return bounds.Bounds(0.1 * centre, 0.1 * foot)
 
     steps, honest = with_impacts(1000), bounds.bounds_of
     assert judged(played()).refuted == []
