@@ -17,7 +17,7 @@ from agents.training.models import derived_seed
 from jackbox_env import JackInBoxEnv
 from jackbox_env.recording.motion import Motion
 from jackbox_env.recording.page import model_facts, write_page
-from jackbox_env.recording.recorder import Recorder
+from jackbox_env.recording.recorder import stepped_record
 from jackbox_env.simulators.plain_functions import ControlStep
 
 _LONGEST_NAME = 80  # letters of a file's name
@@ -55,13 +55,11 @@ def record_episode(acting: PolicyWithEnv, env_settings: dict[str, Any], seed: in
     env = gym.make("JackInBox-v0", **{**env_settings, **acting.keywords})
     observation, info = env.reset(seed=seed)
     inner = cast(JackInBoxEnv, env.unwrapped)
-    recorder = Recorder(inner.scene, inner.control_dt, info["state"], info["time"], inner.torque == "chirp")
-    earned = 0.0
-    for step in control_steps(env, acting, observation):
-        recorder.add(step.state, step.time, step.torque, step.impacts)
-        earned += step.reward
+    steps = list(control_steps(env, acting, observation))
+    driven = inner.torque == "chirp"
+    record = stepped_record(inner.scene, inner.control_dt, info["state"], info["time"], steps, driven)
     env.close()
-    return Episode(Motion(recorder.record()), earned)
+    return Episode(Motion(record), sum(step.reward for step in steps))
 
 
 def page_of_episode(path: Path, name: str, acting: PolicyWithEnv, env_settings: dict[str, Any], seed: int) -> float:

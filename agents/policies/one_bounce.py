@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.policies.network import Layer, read_with_layers
-from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, StatelessPolicy
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, StatelessPolicy, state_of
 from agents.policies.scripted import torques as as_actions
 from agents.policies.value import Value
 from agents.settings import EnvSettings
 from jackbox_env import Scene
 from jackbox_env.mechanics import contacts_of, impact_maps
 from jackbox_env.model.action import EPISODE_STEPS
-from jackbox_env.model.landing import QUARTER, landing_time, torques, upright
-from jackbox_env.model.observation import BOUNDS, state_of
+from jackbox_env.model.landing import QUARTER, aim, landing_time, upright
+from jackbox_env.model.observation import BOUNDS
 from jackbox_env.model.states import OMEGA_BOX, RATES, THETA_BOX, THETA_JACK, VY_JACK, Y_JACK, Array, State
 from jackbox_env.tools import checks as check
 
@@ -77,6 +77,12 @@ class LandingSettings(EnvSettings):
         """All pairs of an angle and a rate, shape (angles * rates, 2)."""
         angles, rates = np.meshgrid(self.angles, self.rates, indexing="ij")
         return np.stack([angles.ravel(), rates.ravel()], axis=1)
+
+
+def landing_torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:
+    """:func:`jackbox_env.model.landing.aim` from states, (n, 12), at angles [rad] and rates [rad/s], (n, 2): (n,)."""
+    rows = zip(states.tolist(), targets.tolist(), strict=True)
+    return np.array([aim(scene, State(*row), angle, rate, duration) for row, (angle, rate) in rows])
 
 
 def landing_times(scene: Scene, states: Array) -> Array:
@@ -155,7 +161,7 @@ class LandingPolicy(StatelessPolicy):
         """Torques in units of the limit, shape (n,), for states, shape (n, 12)."""
         states = uprighted(states)
         chosen = self._pairs[self.worth(states, landing_times(self._scene, states)).argmax(axis=1)]
-        return torques(self._scene, states, chosen, self._duration)
+        return landing_torques(self._scene, states, chosen, self._duration)
 
     def worth(self, states: Array, times: Array) -> Array:
         """Value of each pair, shape (n, pairs), for states, shape (n, 12), and times to the landing, (n,)."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from agents.policies.network import SHIPPED
-from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, torques
+from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, state_of, torques
 from agents.policies.value import Value, ValuedSearch, read_value
 from jackbox_env import Scene, Task
-from jackbox_env.model.observation import BOUNDS, state_of
+from jackbox_env.model.observation import BOUNDS
 from jackbox_env.planning.icem import Plans, PlanSearch
 from jackbox_env.tools import checks as check
 
@@ -95,8 +95,8 @@ class Planner:
         new = np.flatnonzero(np.broadcast_to(starts, count))
         plans = plans.replaced(new, self.search.begin(len(new)))
         states = np.array([state_of(self._scene, row) for row in rows.tolist()])
-        best, plans = self.search.decide(self._scene, states, plans)
-        actions = torques(best.plans[:, 0])
+        best, _, plans = self.search.decide(self._scene, states, plans)
+        actions = torques(best[:, 0])
         return actions if np.ndim(observation) == 2 else actions[0], plans
 
     @property

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from jackbox_env import Scene
 from jackbox_env.model.observation import BOUNDS
+from jackbox_env.model.states import Array
 
 Actions = NDArray[Any]
 PLAIN = {"observation": "state", "action": "torque", "action_repeat": 1}  # keywords of the environment of policies here
@@ -81,6 +83,22 @@ def as_rows(observation: Any, numbers: int | None = None) -> NDArray[Any]:
     if rows.ndim != 2 or rows.shape[1] != (numbers or rows.shape[1]):
         raise ValueError(f"observation must have shape (n, {numbers}) or ({numbers},), got {np.shape(observation)}")
     return rows
+
+
+def state_of(scene: Scene, observation: Sequence[float]) -> Array:
+    """Return a state, shape (12,), with this observation: the box at the origin, its centre at rest.
+
+    Only the motion relative to the box's centre is observed, which without side forces depends on nothing else.
+    """
+    x, y, vx, vy, cosine, sine, omega, cosine_4, sine_4, jack_omega = observation
+    length, speed, angle = scene.box_half_width, scene.speed_scale, math.atan2(sine, cosine)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([
+        0.0, 0.0, angle,
+        length * (c * x - s * y), length * (s * x + c * y), angle + 0.25 * math.atan2(sine_4, cosine_4),
+        0.0, 0.0, omega * speed / length,
+        speed * (c * vx - s * vy), speed * (s * vx + c * vy), jack_omega * speed / scene.jack_arm,
+    ])  # fmt: skip
 
 
 def torques(values: NDArray[Any]) -> Actions:

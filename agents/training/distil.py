@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from agents.policies.network import SHIPPED, write_with_layers
-from agents.policies.one_bounce import LANDING, LandingPolicy, LandingSettings, landing_times, uprighted
+from agents.policies.one_bounce import (
+    LANDING,
+    LandingPolicy,
+    LandingSettings,
+    landing_times,
+    landing_torques,
+    uprighted,
+)
 from agents.policies.value import UNIT, Value, read_value
 from agents.training.fitting import (
     CONTROL_DT,
@@ -35,7 +42,6 @@ from agents.training.fitting import (
     network,
     starts,
 )
-from jackbox_env.model.landing import torques
 from jackbox_env.model.states import Array
 from jackbox_env.tools.command_line import command_line
 
@@ -88,7 +94,7 @@ def played(policy: LandingPolicy, states: Array, rng: np.random.Generator) -> tu
         now, free = uprighted(visited[-1]), (landed < 0) & (decision < FIRST)
         acting = np.zeros(len(now))
         acting[~free] = policy.towards_best(now[~free])
-        acting[free] = torques(SCENE, now[free], pairs[free], DECISION_TIME)
+        acting[free] = landing_torques(SCENE, now[free], pairs[free], DECISION_TIME)
         after, rewards, struck = advanced(SETTINGS.task, visited[-1], acting)
         landed[free & struck] = decision + 1
         visited.append(after)

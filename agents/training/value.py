@@ -65,11 +65,11 @@ def visited(search: RecordingSearch, rng: np.random.Generator) -> tuple[Array, A
     states, rows = starts(EPISODES, rng), np.arange(EPISODES)
     plans, ends, visits = search.begin(EPISODES), [], []
     for _ in trange(DECISIONS, desc="play", leave=False, disable=None):
-        best, plans = search.decide(SCENE, states, plans)
+        best, _, plans = search.decide(SCENE, states, plans)
         good = np.argsort(-search.returns, axis=1)[rows, rng.integers(0, search.samples // 8, EPISODES)]
         ends += [search.ends[rows, good], search.ends[rows, rng.integers(0, search.samples, EPISODES)]]
         visits.append(states)
-        states = PlanSearch.evaluate(search, SCENE, states, best.plans[:, None, :1])[1][:, 0]
+        states = PlanSearch.evaluate(search, SCENE, states, best[:, None, :1])[1][:, 0]
     return np.concatenate(ends), np.concatenate(visits)
 
 
@@ -86,7 +86,7 @@ def evaluated(task: str, states: Array, rng: np.random.Generator) -> Array:
     for first in trange(0, len(states), CHUNK, desc="evaluate", leave=False, disable=None):
         search = PlanSearch(task, CONTROL_DT, seed=int(rng.integers(2**31)), **EVALUATING)
         some = states[first : first + CHUNK]
-        returns.append(search.decide(SCENE, some, search.begin(len(some)))[0].returns)
+        returns.append(search.decide(SCENE, some, search.begin(len(some)))[1])
     return np.concatenate(returns)
 
 

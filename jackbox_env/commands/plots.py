@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jackbox_env.recording.motion import Motion
@@ -42,24 +41,18 @@ def write_figure(figure: Figure, path: Path) -> Path:
     return path
 
 
-def motion_figures(motion: Motion, folder: Path) -> list[Path]:
+def motion_figures(motion: Motion, folder: Path) -> None:
     """Write the four plots: positions and velocities of the box and of the jack, impacts marked by thin lines."""
-    paths = []
     for name, (color, title, columns) in _PLOTS.items():
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         rows = figure.subplots(len(columns), 1, sharex=True)
         for axes, (column, label) in zip(rows, columns, strict=True):
-            _draw_column(axes, motion, column, color)
+            for time in motion.impacts["time"][:1000]:  # more would be one grey block
+                axes.axvline(time, color=GREY, alpha=0.4, linewidth=0.6, zorder=0)
+            axes.plot(motion.t, motion.states[:, column], color=color, linewidth=1.2)
+            axes.margins(x=0.0)
             axes.set_ylabel(label)
         rows[0].set_title(f"{title}; thin lines: {motion.impact_count} impacts")
         rows[-1].set_xlabel("time [s]")
         figure.align_ylabels(rows)
-        paths.append(write_figure(figure, folder / f"{name}.png"))
-    return paths
-
-
-def _draw_column(axes: Axes, motion: Motion, column: int, color: str) -> None:
-    for time in motion.impacts["time"][:1000]:  # more would be one grey block
-        axes.axvline(time, color=GREY, alpha=0.4, linewidth=0.6, zorder=0)
-    axes.plot(motion.t, motion.states[:, column], color=color, linewidth=1.2)
-    axes.margins(x=0.0)
+        write_figure(figure, folder / f"{name}.png")

@@ -7,24 +7,17 @@ import sys
 from jackbox_env.commands.options import parser_of
 from jackbox_env.tools.command_line import command_line
 
-_MOST_READ = 1 << 20  # bytes of standard input: more than any game has
-
 
 @command_line
 def main() -> None:
     """Parse, replay, compare; exit with 1 if the motion differs."""
     parser = parser_of(__doc__)
-    parser.add_argument(
-        "text", metavar="TEXT", help="the shared text, or the link that ends in it; - reads it from standard input"
-    )
-    text: str = parser.parse_args().text
+    parser.add_argument("text", metavar="TEXT", help="the shared text, or the link that ends in it")
     from jackbox_env.commands.game import read_game, replay_game
     from jackbox_env.model.action import EPISODE_STEPS
     from jackbox_env.model.states import total
 
-    if text == "-":
-        text = sys.stdin.buffer.read(_MOST_READ).decode(errors="replace")
-    game = read_game(text)
+    game = read_game(parser.parse_args().text)
     count = len(game.shares)
     differs, steps = replay_game(game)
     played = f"{count:,} steps of {game.task}, {count * game.dt:g} s"

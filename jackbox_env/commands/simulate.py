@@ -102,7 +102,7 @@ def _write(folder: Path, arguments: argparse.Namespace, motion: Motion) -> None:
     if arguments.film is not None:
         from jackbox_env.recording.film import film_motion
 
-        film_motion(motion, arguments.film, progress=True)
+        film_motion(motion, arguments.film)
 
 
 @command_line
@@ -117,12 +117,8 @@ def main() -> None:
     scene, setting = Scene.of(chosen_scene(arguments.scene, arguments)), FIDELITIES[arguments.fidelity]
     kind: Any = list if arguments.state.startswith("[") else dict
     start = check.from_json("state", arguments.state, kind)
-    try:
-        motion = recorded(scene, setting, start, 0.0, arguments.seconds, arguments.dt, None, progress=True)
-        folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion))
-    except KeyboardInterrupt:
-        print("\nInterrupted: nothing was written", file=sys.stderr)
-        raise
+    motion = recorded(scene, setting, start, 0.0, arguments.seconds, arguments.dt, None, progress=True)
+    folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion))
     print(f"{motion.impact_count} impacts by t = {motion.t[-1]:g} s, fidelity {arguments.fidelity}; wrote")
     for path in [*sorted(folder.iterdir()), *([arguments.film] if arguments.film else [])]:
         print(f"  {path}")

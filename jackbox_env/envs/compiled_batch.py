@@ -33,7 +33,7 @@ _GRAIN = 4  # blocks that are worth a call
 _AHEAD = 100  # control steps for which drives are read at first: those of the longest bounce by default
 
 
-class Present(NamedTuple):
+class PresentRows(NamedTuple):
     """The environments of a batch. Blocks in use are never written."""
 
     blocks: Array  # states, (blocks, 16, width)
@@ -49,7 +49,7 @@ class ExactBatch:
     Each takes 432 bytes besides the arrays returned, with a scene for each environment 160 bytes more.
 
     ``batch.py`` states how it changes. *Prepare* writes states into spare memory. *Finish* writes the generators and
-    scenes of ``starts`` in :class:`Present` in place, because copies of all would cost as much as a step.
+    scenes of ``starts`` in :class:`PresentRows` in place, because copies of all would cost as much as a step.
 
     A step drops the memory that threads write to, and restores it when they have ended. So memory that a thread may
     still write to after an interruption is never used again. The states before the last step are stored elsewhere, so
@@ -80,7 +80,7 @@ class ExactBatch:
         blocks = np.zeros((-(-num_envs // self._width), workspace.HEIGHT, self._width))
         several, pixels = len(scenes) > 1 or randomize is not None, interface.pixels
         past = None if pixels is None else Past(pixels, np.zeros((num_envs, pixels.stack, RATES)))
-        self._present = Present(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
+        self._present = PresentRows(blocks, SceneTable(scenes, several, blocks.shape, num_envs, control_dt), past=past)
         self._generators = fresh(num_envs)  # (N, 6)
         self._derived = np.array([randomize.derived(scene) for scene in scenes] if randomize else [], dtype=np.bool_)
         ranges = len(blocks) if num_threads else num_envs // (past.grain if past else _FEWEST_PER_THREAD)
@@ -127,7 +127,7 @@ class ExactBatch:
         return self._column(workspace.TIME)
 
     @property
-    def over(self) -> Flags:
+    def ended(self) -> Flags:
         """True for each episode that is over, shape (N,)."""
         return np.not_equal(self._column(workspace.OVER), 0.0)
 
@@ -179,7 +179,7 @@ class ExactBatch:
             words[index] = words_of(generator)
         return Starts(numbers, words, scenes or None, np.array(states) if starting else None)
 
-    def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+    def prepare_starts(self, starts: Starts, observations: Floats, after: PresentRows | None = None) -> PresentRows:
         """The environments once episodes begin, now or ``after`` a step; this writes their rows of ``observations``.
 
         Raises:
@@ -219,7 +219,7 @@ class ExactBatch:
             blocks[block[over], row, lane[over]] = 0.0
         self.commit(after._replace(past=past and past.begun(np.flatnonzero(chosen), states)))
 
-    def _prepare(self) -> Present:
+    def _prepare(self) -> PresentRows:
         """A copy of the present to be changed, in spare memory."""
         blocks = self._taken()
         np.copyto(blocks, self._present.blocks)
@@ -230,7 +230,7 @@ class ExactBatch:
         spare, self._spare = self._spare, None
         return np.zeros_like(self._present.blocks) if spare is None else spare
 
-    def commit(self, after: Present) -> None:
+    def commit(self, after: PresentRows) -> None:
         """Replace the present environments by those of a step or of starts."""
         before, self._present = self._present, after
         self._spare = before.blocks if after.last is before.last else before.last and before.last[0]
@@ -371,7 +371,7 @@ class ExactBatch:
             past.draw(scenes.rows(everyone), everyone, observations, self._threads)
         return Outcome(
             observations, rewards, filled.terminations, filled.truncations, infos, finished,
-            Present(after, scenes, last=(self._present.blocks, actions), past=past),
+            PresentRows(after, scenes, last=(self._present.blocks, actions), past=past),
         )  # fmt: skip
 
     def _scenes_of_steps(self, torque: int, steps: int, ahead: int) -> Scenes:
@@ -379,7 +379,7 @@ class ExactBatch:
         scenes = self._present.scenes
         if not scenes.cutting[torque]:
             return scenes.plain[torque]
-        remaining = np.where(self.over, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
+        remaining = np.where(self.ended, 0.0, np.minimum(steps, self._limits.steps - self._column(workspace.STEPS)))
         return scenes.of_steps(torque, self.times, remaining.astype(np.int64), ahead)
 
     def _infos(self, after: Array, reports: Array, made: Array | float, durations: Array) -> dict[str, NDArray[Any]]:

@@ -31,10 +31,7 @@ class NoInfos(dict[str, Any]):
 
 def masked(infos: Infos, mask: Flags) -> Infos:
     """Add to each info ``name`` its mask ``_name``, as Gymnasium's vector environments do."""
-    both: Infos = {}
-    for name, values in infos.items():
-        both[name], both[f"_{name}"] = values, mask.copy()
-    return both
+    return infos | {f"_{name}": mask.copy() for name in infos}
 
 
 def blank(terms: Sequence[str] | None, count: int) -> Infos:
@@ -63,8 +60,8 @@ def infos_at_end(outcome: Outcome, drawn: Infos) -> Infos:
     last = np.full(len(ended), None, dtype=object)
     for number in np.flatnonzero(ended):
         last[number] = outcome.observations[number].copy()
-    final: Infos = {}
-    for name, values in outcome.infos.items():
-        final[name] = np.zeros_like(values)
-        final[name][ended] = values[ended]
+    final = {
+        name: np.where(ended if values.ndim == 1 else ended[:, None], values, np.zeros_like(values))
+        for name, values in outcome.infos.items()
+    }
     return masked({"final_obs": last, "final_info": masked(final | drawn, ended)}, ended)

@@ -20,12 +20,12 @@ from jackbox_env.model.tasks import TaskError, draw_start
 from jackbox_env.simulators import Impact
 
 
-class Present(NamedTuple):
+class PresentEnvs(NamedTuple):
     """The environments of a batch. What is in use is never written."""
 
     envs: list[Snapshot]
     decisions: Counts  # of the episodes, (N,)
-    over: Flags  # (N,)
+    ended: Flags  # whether its episode has, (N,)
     generators: list[np.random.Generator]
 
 
@@ -33,7 +33,7 @@ class SingleBatch:
     """N environments with one scene for all or one for each. Steps do not change a finished episode.
 
     ``batch.py`` states how it changes. *Prepare* moves the environments themselves; *finish* returns them to their
-    snapshots in :class:`Present`, unless they are there.
+    snapshots in :class:`PresentEnvs`, unless they are there.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class SingleBatch:
         self._envs = [JackInBoxEnv(scene=scene, **settings) for scene in self._originals]
         self._with_infos, self._randomize, self._limits = with_infos, randomize, limits
         self._interface = self._envs[0].interface
-        self._present = Present(
+        self._present = PresentEnvs(
             [env._snapshot() for env in self._envs], np.zeros(num_envs, dtype=np.int64),
             np.zeros(num_envs, dtype=np.bool_), [np_random()[0] for _ in range(num_envs)],
         )  # fmt: skip
-        self._moved_to: Present | None = self._present  # where the environments are; None: they move
+        self._moved_to: PresentEnvs | None = self._present  # where the environments are; None: they move
 
     @property
     def states(self) -> Array:
@@ -67,9 +67,9 @@ class SingleBatch:
         return np.array([env.present.time for env in self._present.envs])
 
     @property
-    def over(self) -> Flags:
+    def ended(self) -> Flags:
         """True for each episode that is over, shape (N,)."""
-        return self._present.over.copy()
+        return self._present.ended.copy()
 
     def scene(self, number: int, starts: Starts | None = None) -> Scene:
         """The scene that an environment has now, or once ``starts`` have begun."""
@@ -121,7 +121,7 @@ class SingleBatch:
                 states.append(draw_start(self._interface.task, scene, generators[-1]))
         return Starts(numbers, generators, scenes or None, None if placed else np.array(states))
 
-    def prepare_starts(self, starts: Starts, observations: Floats, after: Present | None = None) -> Present:
+    def prepare_starts(self, starts: Starts, observations: Floats, after: PresentEnvs | None = None) -> PresentEnvs:
         """The environments once episodes begin: now, or ``after`` a step.
 
         Their observations are written into their rows, shape (N, numbers).
@@ -136,7 +136,7 @@ class SingleBatch:
             time = 0.0 if starts.times is None else float(starts.times[index])
             self._place(number, scene, starts.states[index], time, after)
             after.generators[number] = starts.generators[index]
-        after.decisions[numbers], after.over[numbers] = 0, False
+        after.decisions[numbers], after.ended[numbers] = 0, False
         self._observe(numbers, observations)
         for env in self._envs if self._envs[0].render_mode == "human" else ():
             env.render()
@@ -147,26 +147,26 @@ class SingleBatch:
 
         Their episodes continue. A finished episode starts anew.
         """
-        after, anew = self._prepare(), chosen & self._present.over
+        after, anew = self._prepare(), chosen & self._present.ended
         for number in np.flatnonzero(chosen).tolist():
             steps = 0 if anew[number] else self._envs[number].elapsed_steps
             self._place(number, self.scene(number), states[number], float(times[number]), after, steps)
-        after.decisions[anew], after.over[anew] = 0, False
+        after.decisions[anew], after.ended[anew] = 0, False
         self.commit(after)
 
-    def _place(self, number: int, scene: Scene, state: Array, time: float, after: Present, steps: int = 0) -> None:
+    def _place(self, number: int, scene: Scene, state: Array, time: float, after: PresentEnvs, steps: int = 0) -> None:
         """Set an environment's scene, state, time [s] and control steps of its episode, now and in ``after``."""
         env = self._envs[number]
         env._place(env._model_of(scene), state, time, steps)
         after.envs[number] = env._snapshot()
 
-    def _prepare(self) -> Present:
+    def _prepare(self) -> PresentEnvs:
         """A copy of the present to be changed, whose environments may move."""
         self._finish()
         self._moved_to = None
-        return Present._make(map(copy.copy, self._present))
+        return PresentEnvs._make(map(copy.copy, self._present))
 
-    def commit(self, after: Present) -> None:
+    def commit(self, after: PresentEnvs) -> None:
         """Replace the present environments by those of a step or of starts."""
         self._present = after
         self._moved_to = after
@@ -200,7 +200,7 @@ class SingleBatch:
         Raises:
             ValueError, JackLostError, TaskError: as the single environment does.
         """
-        count, going = len(self._envs), np.flatnonzero(~self._present.over).tolist()
+        count, going = len(self._envs), np.flatnonzero(~self._present.ended).tolist()
         observations, rewards = self._interface.new_observations(count), np.zeros(count)
         infos = blank(self._interface.task.terms if self._with_infos else None, count)
         chosen = [None] * count if actions is None else self._as_singles(actions, going)
@@ -216,7 +216,7 @@ class SingleBatch:
             after.decisions[number] += 1
             truncations[number] = env.elapsed_steps >= steps or after.decisions[number] >= decisions
         ended = terminations | truncations
-        after.over[ended] = True
+        after.ended[ended] = True
         return Outcome(observations, rewards, terminations, truncations, infos, int(ended.sum()), after)
 
     def _as_singles(self, actions: Array, going: list[int]) -> list[Any]:

@@ -44,8 +44,7 @@ class SceneTable:
             rows, self.drives = np.repeat(rows, count, axis=0), self.drives * count
         self.values: Array = rows  # (1 or N, numbers of a scene)
         self.scene_params: Array = np.zeros((shape[0] if several else 1, SCENE_PARAMS, shape[2]))
-        numbers = np.arange(count if several else shape[2])
-        compiled(write_scene_params)(self.values, dt, self.scene_params, numbers)
+        compiled(write_scene_params)(self.values, dt, self.scene_params, np.arange(count if several else shape[2]))
         self._derive_kinds()
 
     @property
@@ -54,27 +53,24 @@ class SceneTable:
         return bool((self.values[:, _RESTITUTION] < 1.0).any())
 
     def _derive_kinds(self) -> None:
-        kinds = [(drive_kind(drive), drive_kind(drive, held=True)) for drive in self.drives]
-        columns = np.array(kinds, dtype=np.int64).T
         # Of each environment, or of all: whether its drive is not the original one; what turns the box under the drive
         # and under a constant torque. And whether functions of any are cut into pieces then.
         self.driven_otherwise: Flags = np.array(
             [drive is not self.original_of(number).drive for number, drive in enumerate(self.drives)]
         )
-        self.drive_kinds: tuple[Counts, Counts] = columns[0].copy(), columns[1].copy()
-        self.cutting = [bool(np.isin(column, WITH_PIECES).any()) for column in columns]
+        self.drive_kinds: list[Counts] = [
+            np.array([drive_kind(drive, held) for drive in self.drives], dtype=np.int64) for held in (False, True)
+        ]
+        self.cutting = [bool(np.isin(kinds, WITH_PIECES).any()) for kinds in self.drive_kinds]
         # For steps that need no pieces: the same object until kinds change.
-        self.plain = [Scenes(self.values, self.scene_params, column, *NO_PIECES) for column in self.drive_kinds]
+        self.plain = [Scenes(self.values, self.scene_params, kinds, *NO_PIECES) for kinds in self.drive_kinds]
 
     def spread_out(self, shape: tuple[int, ...]) -> SceneTable:
         """This table with a row for each environment."""
         if self.several or self.count == 1:
             return self
         twin = SceneTable(self.originals, True, shape, self.count, self.dt)
-        twin.values[:] = self.values
-        twin.scene_params[:] = self.scene_params
-        twin.drives = self.drives * self.count
-        twin._derive_kinds()
+        twin.set_scenes(np.arange(self.count), [self.scene(0)] * self.count)
         return twin
 
     @property

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from functools import partial
 from typing import Any, NoReturn
 
 from gymnasium.envs.registration import EnvSpec
@@ -12,6 +13,11 @@ from gymnasium.vector import AutoresetMode
 from jackbox_env.simulators.fidelity import KEYWORDS
 from jackbox_env.tools import checks as check
 
+# Arguments of the vector environment alone, and the end of the sentence that is raised for them elsewhere.
+VECTOR_ONLY = dict.fromkeys(
+    ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
+    'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
+)
 # Properties of environments that something else changes.
 _SCENE = 'reset(options={"scene": ...}) changes it'
 _INSTEAD = {
@@ -31,19 +37,16 @@ def completed(changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class ReadOnly:
-    """A read-only attribute: the argument of this name, or of another name, that an environment was made with."""
-
-    def __init__(self, argument: str = "") -> None:
-        self._argument = argument
+    """A read-only attribute: the argument of this name that an environment was made with."""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self._name, self._argument = name, self._argument or name
+        self._name = name
 
     def __get__(self, environment: Any, owner: type) -> Any:
-        return self if environment is None else environment._settings[self._argument]
+        return self if environment is None else environment._settings[self._name]
 
     def __set__(self, environment: Any, value: object) -> None:
-        _refuse(self._name, value, f"make a new environment with {self._argument}=...")
+        _refuse(self._name, f"make a new environment with {self._name}=...", environment, value)
 
 
 class Settings:
@@ -51,7 +54,7 @@ class Settings:
 
     _settings: Mapping[str, Any]  # the arguments by name
     contact, substeps, fidelity, task, control_dt = ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly()
-    torque, torque_source, randomize = ReadOnly(), ReadOnly("torque"), ReadOnly()
+    torque, randomize = ReadOnly(), ReadOnly()
     action, action_repeat, episode_steps, max_episode_steps = ReadOnly(), ReadOnly(), ReadOnly(), ReadOnly()
     render_mode, render_size, render_overlay = ReadOnly(), ReadOnly(), ReadOnly()
 
@@ -76,12 +79,8 @@ class Settings:
         super().__init_subclass__(**keywords)
         for name, instead in _INSTEAD.items():
             if isinstance(plain := vars(cls).get(name), property):
-                setattr(cls, name, plain.setter(_refusing(name, instead)))
+                setattr(cls, name, plain.setter(partial(_refuse, name, instead)))
 
 
-def _refusing(name: str, instead: str) -> Callable[[Any, object], None]:
-    return lambda environment, value: _refuse(name, value, instead)
-
-
-def _refuse(name: str, value: object, instead: str) -> NoReturn:
+def _refuse(name: str, instead: str, environment: Any, value: object) -> NoReturn:
     raise AttributeError(f"{name} cannot be assigned, got {check.shown(value)}: {instead}")

@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from jackbox_env.envs import reference
 from jackbox_env.envs.arguments import options_of
 from jackbox_env.envs.infos import Infos
-from jackbox_env.envs.settings import Settings
+from jackbox_env.envs.keys import keys_of
+from jackbox_env.envs.settings import VECTOR_ONLY, Settings
 from jackbox_env.exact.threads import Threads
 from jackbox_env.model import tasks
 from jackbox_env.model.action import (
@@ -36,10 +37,10 @@ from jackbox_env.model.action import (
     decisions_of,
     repeat_of,
 )
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.observation import Observation, observation_parts
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import Randomization, next_scene
+from jackbox_env.model.randomization import Randomization, Randomize, next_scene
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import LATEST_TIME, RATES, Array, as_start
 from jackbox_env.render.raster import Past
@@ -50,15 +51,6 @@ from jackbox_env.simulators.plain_functions import ControlStep, Functions, Inter
 from jackbox_env.tools import checks as check
 
 AnyAction = Observed | float | None
-# Arguments of the vector environment alone, and the end of the sentence that is raised for them here.
-VECTOR_ONLY = dict.fromkeys(
-    ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
-    'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
-)
-_KEYS: dict[Action, tuple[Any, Any]] = {  # the actions of the left and the right arrow key
-    ACTIONS["torque"]: (np.ones(1, np.float32), -np.ones(1, np.float32)), ACTIONS["discrete"]: (2, 0),
-}  # fmt: skip
-Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 
 
 class Model(NamedTuple):
@@ -144,7 +136,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         self.metadata = {**self.metadata, "render_fps": fps, "render_size": size}
         self._renderer = None
         self._past: Past | None = None  # of the pictures that are observed
-        self._started, self._over, self.elapsed_steps = False, False, 0  # control steps of the episode
+        self._started, self._ended, self.elapsed_steps = False, False, 0  # control steps of the episode
         self._impacts: Sequence[Impact] | None = None  # of the last decision; None: those of the last control step
         self.control_steps: Sequence[ControlStep] = ()  # of the last decision, its last ``stored_steps``; None: all
         self.stored_steps = None if render_mode else (pixels or Pixels()).stack
@@ -183,9 +175,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
     @property
     def observation(self) -> Observed:
         """The observation of the present state: a fresh array."""
-        if self._past is not None:
-            return self._pictures(self._past)
-        return self._model.functions.observe(self.state, self.time)
+        return self._pictures(self._past) if self._past else self._model.functions.observe(self.state, self.time)
 
     def set_state(self, state: ArrayLike, time: float = 0.0, steps: int | None = None) -> None:
         """Set the state, shape (12,), and the time [s], exactly. The episode continues; a finished one starts anew.
@@ -197,7 +187,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             TypeError, ValueError: unusable values. The environment is unchanged.
         """
         if steps is None:
-            steps = 0 if self._over else self.elapsed_steps
+            steps = 0 if self._ended else self.elapsed_steps
         steps = check.whole("steps", steps, at_least=0, at_most=self.episode_steps)
         self._place(self._model, state, time, steps)
 
@@ -231,7 +221,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         super().reset(seed=seed)
         self._np_random = generator
         self._place(model, state, time)
-        observation = observation if self._past is None else self._pictures(self._past)
+        observation = self._pictures(self._past) if self._past else observation
         if self.render_mode == "human":
             self.render()
         none = ControlStep(state, time, 0.0, [], 0.0, [0.0] * len(self._terms), 0.0, False, observation)
@@ -250,7 +240,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         model.simulator.reset(state, time)
         if self._renderer is not None and model.simulator.scene != self.scene:
             self._renderer.show(model.simulator.scene)
-        self._model, self._started, self._over = model, True, steps >= self._limit
+        self._model, self._started, self._ended = model, True, steps >= self._limit
         self.elapsed_steps, self._impacts = steps, None
         self._start_pictures()
 
@@ -295,8 +285,8 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             self._past = self._past.later(np.array([[part.state for part in self.control_steps]]))
             whole = whole._replace(observation=self._pictures(self._past))
         truncated = self.elapsed_steps >= self._limit
-        self._over = whole.over or truncated
-        return whole.observation, whole.reward, whole.over, truncated, self._info(whole, made)
+        self._ended = whole.terminated or truncated
+        return whole.observation, whole.reward, whole.terminated, truncated, self._info(whole, made)
 
     def _decide(
         self, torque: float | None, controls: Array | None, most: float
@@ -322,7 +312,7 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
             values = [part.torque, part.impulse, part.reward, *part.terms]
             sums = list(map(add, sums, values)) if made else values
             made, struck = made + 1, bool(part.impacts)
-            ended = part.over or is_over(made, separated, struck, self.repeat.max_contact_steps)
+            ended = part.terminated or ends_decision(made, separated, struck, self.repeat.max_contact_steps)
             separated = separated or not struck
         mean, impulse, reward, *terms = sums
         whole = part._replace(
@@ -361,27 +351,15 @@ class JackInBoxEnv(Settings, gym.Env[Observed, AnyAction]):
         """Keys for `gymnasium.utils.play`. Left turns the box counter-clockwise, right clockwise.
 
         With the action "discrete" use ``play(..., noop=1)``: its default, 0, is the action of the right key.
-
-        Raises:
-            AttributeError: the action is neither "torque" nor "discrete", so Gymnasium finds no keys.
         """
-        if self.interface.action not in _KEYS:
-            raise AttributeError("there are keys for action='torque' and 'discrete' only")
-        left, right = _KEYS[self.interface.action]
-
-        def keys() -> dict[tuple[int, ...], AnyAction]:
-            import pygame
-
-            return {(pygame.K_LEFT,): left, (pygame.K_RIGHT,): right}
-
-        return keys
+        return keys_of(self.interface.action)
 
     def _snapshot(self) -> Snapshot:
         """The environment as it is now, for :meth:`_restore`."""
-        picture = None if self._renderer is None else self._renderer.snapshot()
         return Snapshot(
-            self._model, self._model.simulator.snapshot(), self.elapsed_steps, self._impacts, self._past, picture
-        )
+            self._model, self._model.simulator.snapshot(), self.elapsed_steps, self._impacts, self._past,
+            self._renderer and self._renderer.snapshot(),
+        )  # fmt: skip
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Return to the moment of a :meth:`_snapshot`."""

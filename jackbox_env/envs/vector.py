@@ -16,16 +16,25 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from jackbox_env.envs.arguments import Arguments, ResetPlan, as_autoreset_mode, plan_of
+from jackbox_env.envs.arguments import (
+    ResetPlan,
+    actions_of,
+    as_autoreset_mode,
+    mask_of,
+    plan_of,
+    scenes_in,
+    states_of,
+    times_of,
+)
 from jackbox_env.envs.batch import EpisodeLimits
 from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.one_by_one import SingleBatch
 from jackbox_env.envs.settings import ReadOnly, Settings
-from jackbox_env.envs.single import JackInBoxEnv, Randomize
+from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.model.action import EPISODE_STEPS, Action, Repeats, decisions_of
 from jackbox_env.model.observation import Observation
 from jackbox_env.model.pixels import Pixels
-from jackbox_env.model.randomization import NUMBERS, Randomization
+from jackbox_env.model.randomization import NUMBERS, Randomization, Randomize
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array, Flags, Floats, Indices, as_restored
 from jackbox_env.model.tasks import Task
@@ -118,8 +127,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         if render_mode == "human" and num_envs > 1:
             raise ValueError(f'render_mode must be None or "rgb_array" for several environments, got {render_mode!r}')
         self._mode, self._with_infos = as_autoreset_mode(autoreset_mode), check.flag("with_infos", with_infos)
-        self._arguments = Arguments(num_envs)
-        scenes = self._arguments.scenes(scene)
+        scenes = scenes_in(num_envs, scene)
         settings |= {
             "contact": contact, "substeps": substeps, "task": task, "control_dt": control_dt, "torque": torque,
             "fidelity": fidelity, "render_size": render_size, "render_overlay": render_overlay,
@@ -223,9 +231,9 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: unusable values. All environments are unchanged.
         """
-        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else self._arguments.mask("chosen", chosen)
-        placed = self._arguments.states("states", states, chosen, as_restored)(self._batch.scene)
-        self._batch.set_states(chosen, placed, self._arguments.times("times", times, chosen))
+        chosen = np.ones(self.num_envs, dtype=np.bool_) if chosen is None else mask_of(self.num_envs, "chosen", chosen)
+        placed = states_of(self.num_envs, "states", states, chosen, as_restored)(self._batch.scene)
+        self._batch.set_states(chosen, placed, times_of(self.num_envs, "times", times, chosen))
 
     def field(self, name: str) -> Array:
         """One field of each environment's present scene, a number, by its name in :class:`Scene`, shape (N,).
@@ -293,7 +301,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         Raises:
             TypeError, ValueError: an unusable seed or option.
         """
-        return plan_of(self._arguments, seed, options)
+        return plan_of(self.num_envs, seed, options)
 
     @by_one_thread
     def step(self, actions: ArrayLike | None) -> tuple[Floats, Array, Flags, Flags, Infos]:
@@ -307,10 +315,10 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
-        waiting = self._over() if self._waiting else None
+        waiting = self._waiting_episodes() if self._waiting else None
         checked = None
         if not (actions is None or self._driven):
-            checked = self._arguments.actions(self._interface.action, actions, waiting)
+            checked = actions_of(self.num_envs, self._interface.action, actions, waiting)
         infos: Infos = {} if self._with_infos else NoInfos()
         outcome, restarting = self._batch.prepare_step(checked), waiting
         if waiting is None and outcome.finished and self._mode is AutoresetMode.SAME_STEP:
@@ -366,9 +374,9 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
 
-    def _over(self) -> Flags | None:
+    def _waiting_episodes(self) -> Flags | None:
         """The finished episodes that wait; None if there are none."""
-        waiting = self._batch.over
+        waiting = self._batch.ended
         if not waiting.any():
             return None
         if self._mode is AutoresetMode.DISABLED:

@@ -117,21 +117,14 @@ def inside(scene: SceneNumbers, flight: Flight, horizon: float, max_acceleration
 
 def walls_in_reach(scene: SceneNumbers, frame: BoxFrame, horizon: float, centre_curvature: float) -> int:
     """Walls that the circle through the jack's feet may touch within ``horizon`` [s], as bits."""
-    reach = 0.5 * centre_curvature * horizon * horizon
+    reach = 0.5 * centre_curvature * horizon * horizon  # by which its path bends at most
     walls = 0
     for wall in range(4):
         ahead, speed = towards(frame, wall)
-        if not stays_off(scene.box_half_width - scene.jack_arm - ahead, speed, horizon, reach):
+        room = scene.box_half_width - scene.jack_arm - ahead  # between circle and wall, now
+        if not ((room > 0.0) & (room - speed * horizon - reach > 0.0)):
             walls |= 1 << wall
     return walls
-
-
-def stays_off(room: float, speed: float, horizon: float, reach: float) -> bool:
-    """Whether the circle through the jack's feet, ``room`` [m] from a wall, stays off it for ``horizon`` [s].
-
-    It approaches at ``speed`` [m/s] now, and comes nearer by ``reach`` [m] at most because its path bends.
-    """
-    return bool((room > 0.0) & (room - speed * horizon - reach > 0.0))
 
 
 def clearance_of_all(
@@ -141,7 +134,7 @@ def clearance_of_all(
     """A number [m] that is positive only if no foot touches a wall for ``horizon`` [s].
 
     It is the larger of two lower bounds, for all walls and feet at once: of the room of the circle through the feet, as
-    :func:`stays_off` tests it, and of gap + gap' s - K s^2 / 2, as :func:`first_of_all` does. Opposite walls, and
+    :func:`walls_in_reach` tests it, and of gap + gap' s - K s^2 / 2, as :func:`first_of_all` does. Opposite walls, and
     opposite feet, have opposite signs, so two maxima are enough. A margin covers rounding and every contact tolerance.
 
     Args:

@@ -78,24 +78,24 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    copy_numbers,
 )
 
 _RESOLVED = 1e-15  # last powers of the velocities, over a speed
 
 
-def product(held: HeldFeet, one: int, other: int, k: int, first: int = 0) -> float:
+def product(series: Array, one: int, other: int, k: int, first: int = 0) -> float:
     """Power k of the product of two series, of the first one from its power ``first`` on."""
     total = 0.0
     for j in range(first, k + 1):
-        total += held.series[one, j] * held.series[other, k - j]
+        total += series[one, j] * series[other, k - j]
     return total
 
 
 def drive_series(memory: Workspace, piece: Piece, since: float, length: float) -> None:
     """Fill in the accelerations of the box by the drive, from ``since`` [s] after the piece's start on."""
     series = memory.held.series
-    for k in range(DEGREE + 1):
-        series[DRIVEN, k] = series[PUSHED_X, k] = series[PUSHED_Y, k] = 0.0
+    series[DRIVEN : PUSHED_Y + 1] = 0.0
     series[DRIVEN, 0] = piece.alpha * length * length
     if piece.curved:
         shift(memory, TURN, DRIVEN, piece, since, length)
@@ -108,8 +108,7 @@ def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, le
     """Write a piece's polynomial acceleration as powers of the time since another moment (Horner's scheme)."""
     series = memory.held.series
     start, share = 2.0 * since / piece.length - 1.0, 2.0 * length / piece.length
-    for k in range(DEGREE + 1):
-        series[row, k] = memory.powers[3 * axis, k]
+    copy_numbers(DEGREE + 1, memory.powers[3 * axis], series[row])
     for i in range(DEGREE):
         for j in range(DEGREE - 1, i - 1, -1):
             series[row, j] += start * series[row, j + 1]
@@ -119,9 +118,8 @@ def shift(memory: Workspace, axis: int, row: int, piece: Piece, since: float, le
         scale *= share
 
 
-def begin(held: HeldFeet, view: View, angle: float, omega: float, psi: float, length: float) -> None:
+def begin(series: Array, view: View, angle: float, omega: float, psi: float, length: float) -> None:
     """Fill in the lowest powers."""
-    series = held.series
     frame = view.frame
     series[POSITION_X, 0], series[POSITION_Y, 0] = frame.x, frame.y
     series[PSI, 0], series[TURNED, 0] = psi, 0.0
@@ -138,35 +136,37 @@ def expand(scene: SceneNumbers, memory: Workspace, length: float, pushed: bool) 
 
     The inverse of J M^-1 J^T at its start is in ``held.inverse``.
     """
-    held = memory.held
-    series = held.series
-    count, gravity = held.holding, scene.gravity * length * length
+    series = memory.held.series
+    count, gravity = memory.held.holding, scene.gravity * length * length
     pliancy = 1.0 / scene.box_mass + 1.0 / scene.jack_mass
     for k in range(DEGREE + 1):
-        series[OMEGA_SQUARED, k] = product(held, OMEGA, OMEGA, k)
-        series[SPIN_SQUARED, k] = product(held, SPIN, SPIN, k)
-        x = 2.0 * product(held, OMEGA, RATE_Y, k) + product(held, OMEGA_SQUARED, POSITION_X, k)
-        y = -2.0 * product(held, OMEGA, RATE_X, k) + product(held, OMEGA_SQUARED, POSITION_Y, k)
-        x -= gravity * series[BOX_SINE, k]
-        y -= gravity * series[BOX_COSINE, k]
+        series[OMEGA_SQUARED, k] = product(series, OMEGA, OMEGA, k)
+        series[SPIN_SQUARED, k] = product(series, SPIN, SPIN, k)
+        x = (
+            2.0 * product(series, OMEGA, RATE_Y, k) + product(series, OMEGA_SQUARED, POSITION_X, k)
+            - gravity * series[BOX_SINE, k]
+        )  # fmt: skip
+        y = (
+            -2.0 * product(series, OMEGA, RATE_X, k) + product(series, OMEGA_SQUARED, POSITION_Y, k)
+            - gravity * series[BOX_COSINE, k]
+        )  # fmt: skip
         if pushed:
-            x -= product(held, BOX_COSINE, PUSHED_X, k) + product(held, BOX_SINE, PUSHED_Y, k)
-            y -= product(held, BOX_COSINE, PUSHED_Y, k) - product(held, BOX_SINE, PUSHED_X, k)
+            x -= product(series, BOX_COSINE, PUSHED_X, k) + product(series, BOX_SINE, PUSHED_Y, k)
+            y -= product(series, BOX_COSINE, PUSHED_Y, k) - product(series, BOX_SINE, PUSHED_X, k)
         solve_forces(scene, memory, count, k, x, y)
         for contact in range(count):
             n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
             x -= pliancy * n_x * series[FORCE + contact, k]
             y -= pliancy * n_y * series[FORCE + contact, k]
-        x += product(held, ALPHA, POSITION_Y, k)
-        y -= product(held, ALPHA, POSITION_X, k)
         share, later = RECIPROCALS[k], RECIPROCALS[k + 1]
-        series[RATE_X, k + 1], series[RATE_Y, k + 1] = share * x, share * y
+        series[RATE_X, k + 1] = share * (x + product(series, ALPHA, POSITION_Y, k))
+        series[RATE_Y, k + 1] = share * (y - product(series, ALPHA, POSITION_X, k))
         series[SPIN, k + 1] = share * (series[JACK_ALPHA, k] - series[ALPHA, k])
         for index in range(3):
             series[POSITION_X + index, k + 2] = later * series[RATE_X + index, k + 1]
-        turn(held, k)
-        series[COSINE, k + 1] = -share * product(held, SINE, SPIN, k)
-        series[SINE, k + 1] = share * product(held, COSINE, SPIN, k)
+        turn(series, k)
+        series[COSINE, k + 1] = -share * product(series, SINE, SPIN, k)
+        series[SINE, k + 1] = share * product(series, COSINE, SPIN, k)
 
 
 def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: float, y: float) -> None:
@@ -179,15 +179,16 @@ def solve_forces(scene: SceneNumbers, memory: Workspace, count: int, k: int, x: 
     box = jack = 0.0
     for contact in range(count):
         write_levers(scene, memory, contact, k)
-        box += product(held, BOX_LEVER + contact, FORCE + contact, k, 1)
-        jack += product(held, JACK_LEVER + contact, FORCE + contact, k, 1)
+        box += product(series, BOX_LEVER + contact, FORCE + contact, k, 1)
+        jack += product(series, JACK_LEVER + contact, FORCE + contact, k, 1)
     series[ALPHA, k] = series[DRIVEN, k] + box / scene.box_inertia
     series[JACK_ALPHA, k] = jack / scene.jack_inertia
     for contact in range(count):
         n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
-        missing = n_x * x + n_y * y - product(held, EXTENT + contact, SPIN_SQUARED, k)
-        missing -= product(held, BOX_LEVER + contact, ALPHA, k) + product(held, JACK_LEVER + contact, JACK_ALPHA, k)
-        held.rhs[contact] = missing
+        held.rhs[contact] = (
+            n_x * x + n_y * y - product(series, EXTENT + contact, SPIN_SQUARED, k)
+            - (product(series, BOX_LEVER + contact, ALPHA, k) + product(series, JACK_LEVER + contact, JACK_ALPHA, k))
+        )  # fmt: skip
     solve(scene, held, count, k)
 
 
@@ -246,27 +247,26 @@ def expand_rigid(scene: SceneNumbers, memory: Workspace, length: float, pushed: 
     for contact in range(3):
         write_levers(scene, memory, contact, 0)
     for k in range(DEGREE + 1):
-        squared = product(held, OMEGA, OMEGA, k)
+        squared = product(series, OMEGA, OMEGA, k)
         x, y = squared * x0 - gravity * series[BOX_SINE, k], squared * y0 - gravity * series[BOX_COSINE, k]
         if pushed:
-            x -= product(held, BOX_COSINE, PUSHED_X, k) + product(held, BOX_SINE, PUSHED_Y, k)
-            y -= product(held, BOX_COSINE, PUSHED_Y, k) - product(held, BOX_SINE, PUSHED_X, k)
+            x -= product(series, BOX_COSINE, PUSHED_X, k) + product(series, BOX_SINE, PUSHED_Y, k)
+            y -= product(series, BOX_COSINE, PUSHED_Y, k) - product(series, BOX_SINE, PUSHED_X, k)
         series[ALPHA, k], series[JACK_ALPHA, k] = series[DRIVEN, k], 0.0
         for contact in range(3):
             n_x, n_y = quarter(1.0, 0.0, memory.contacts.pairs[contact] // 4)
             held.rhs[contact] = n_x * x + n_y * y - series[BOX_LEVER + contact, 0] * series[DRIVEN, k]
         solve(scene, held, 3, k)
-        turn(held, k)
+        turn(series, k)
 
 
-def turn(held: HeldFeet, k: int) -> None:
+def turn(series: Array, k: int) -> None:
     """Fill in the next powers of the box's rotation, from power k of its angular acceleration."""
-    series = held.series
     share = RECIPROCALS[k]
     series[OMEGA, k + 1] = share * series[ALPHA, k]
     series[TURNED, k + 2] = RECIPROCALS[k + 1] * series[OMEGA, k + 1]
-    series[BOX_COSINE, k + 1] = -share * product(held, BOX_SINE, OMEGA, k)
-    series[BOX_SINE, k + 1] = share * product(held, BOX_COSINE, OMEGA, k)
+    series[BOX_COSINE, k + 1] = -share * product(series, BOX_SINE, OMEGA, k)
+    series[BOX_SINE, k + 1] = share * product(series, BOX_COSINE, OMEGA, k)
 
 
 def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, view: View) -> float:
@@ -284,24 +284,23 @@ def stretch(scene: SceneNumbers, memory: Workspace, piece: Piece, since: float, 
     if turning * length > 1.0:
         length = 1.0 / turning
     drive_series(memory, piece, since, length)
-    begin(held, view, state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK] - state[THETA_BOX], length)
+    begin(held.series, view, state[THETA_BOX], state[OMEGA_BOX], state[THETA_JACK] - state[THETA_BOX], length)
     invert(memory, held.holding)
     if held.holding == 3:
         expand_rigid(scene, memory, length, piece.pushed)
     else:
         expand(scene, memory, length, piece.pushed)
     memory.evaluations += DEGREE + 1.0
-    while not resolved(scene, held, speed * length):
+    while not resolved(scene, held.series, speed * length):
         length *= 0.5
-        halve(held)
+        halve(held.series)
         if not since + length > since:
             return 0.0
     return length
 
 
-def resolved(scene: SceneNumbers, held: HeldFeet, way: float) -> bool:
+def resolved(scene: SceneNumbers, series: Array, way: float) -> bool:
     """Whether the last two powers of the velocities are below the rounding of a ``way`` [m]."""
-    series = held.series
     tail = 0.0
     for k in (DEGREE, DEGREE + 1):
         tail = max(tail, abs(series[RATE_X, k]) + abs(series[RATE_Y, k]))
@@ -309,9 +308,8 @@ def resolved(scene: SceneNumbers, held: HeldFeet, way: float) -> bool:
     return bool(tail <= _RESOLVED * way)
 
 
-def halve(held: HeldFeet) -> None:
+def halve(series: Array) -> None:
     """Halve the stretch: scale the powers and velocities, which are per stretch."""
-    series = held.series
     share = 1.0
     for k in range(DEGREE + 3):
         for index in range(4):
@@ -322,9 +320,8 @@ def halve(held: HeldFeet) -> None:
         share *= 0.5
 
 
-def curvature_while_held(scene: SceneNumbers, held: HeldFeet, length: float) -> float:
+def curvature_while_held(scene: SceneNumbers, series: Array, length: float) -> float:
     """Bound of a gap's second derivative over a stretch of ``length`` [s], from the powers [m/s^2]."""
-    series = held.series
     x, y, spin, max_angular_acceleration = 0.0, 0.0, abs(series[SPIN, 0]), 0.0
     for k in range(1, DEGREE + 2):
         x += k * abs(series[RATE_X, k])

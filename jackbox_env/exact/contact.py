@@ -24,7 +24,7 @@ from jackbox_env.exact.workspace import AFTER, BEFORE, HELD_SO_FAR, JUMPS, Statu
 from jackbox_env.jit.compiler import called_later, inlined, is_compiled
 from jackbox_env.model.complementarity import mass_scale, nearest
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array
+from jackbox_env.model.states import RATES, THETA_BOX, THETA_JACK, X_BOX, X_JACK, Y_BOX, Y_JACK, Array, copy_numbers
 
 SLOW = 1e-6  # of v0: rounding hides the derivative of a slower impact
 _DEEP = 2e-10  # [m] in boxes of 1 m and more: a foot that strikes from inside is less deep
@@ -55,7 +55,7 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
     state = memory.state
     first = memory.hits
     if log.shape[1] == JUMPS:
-        copy_state(state, memory.before)
+        copy_numbers(12, state, memory.before)
     count = list_touching(scene, memory, resolution, wall, foot)
     slow = rate_of(state, contacts.gradients[0]) > -SLOW * scene.speed_scale
     if count > 1 or slow or contacts.gaps[0] < -_DEEP * min(1.0, scene.box_half_width):
@@ -69,16 +69,10 @@ def resolve(scene: SceneNumbers, memory: Workspace, log: Array, resolution: floa
             record_impact(memory, log, memory.elapsed, contacts.pairs[number], contacts.impulses[number])
     if log.shape[1] == JUMPS:
         for row in range(first, min(memory.hits, log.shape[0])):
-            copy_state(memory.before, log[row, BEFORE:])
-            copy_state(state, log[row, AFTER:])
+            copy_numbers(12, memory.before, log[row, BEFORE:])
+            copy_numbers(12, state, log[row, AFTER:])
             log[row, HELD_SO_FAR] = memory.held.holding
     return Status.DONE
-
-
-def copy_state(state: Array, into: Array) -> None:
-    """Copy the 12 numbers of a state."""
-    for index in range(12):
-        into[index] = state[index]
 
 
 def record_impact(memory: Workspace, log: Array, time: float, pair: int, impulse: float) -> None:
@@ -163,11 +157,6 @@ class ContactTolerances(NamedTuple):
 
     tolerance: float  # gap at which a foot touches [m]
     resolution: float  # gap within which contacts are simultaneous [m], before :func:`contact_resolution` widens it
-
-
-def contact_tolerance(scene: SceneNumbers) -> float:
-    """Gap at which a foot touches [m]: 1e-13, less in boxes below 1 m, never below the rounding of a gap."""
-    return max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
 
 
 def deepest(scene: SceneNumbers) -> float:

@@ -15,7 +15,7 @@ from jackbox_env.exact.contact import SLOW
 from jackbox_env.exact.geometry import frame_of, gradient, rate_of
 from jackbox_env.exact.step import CONSTANT, StepParameters, make_parameters, tolerances_of
 from jackbox_env.exact.tangents import FIRST_FIELD, GRAVITY, TORQUE, accelerate, drifted, fly_back, locate, step_tangent
-from jackbox_env.exact.workspace import Workspace, Workspaces, make_numbers
+from jackbox_env.exact.workspace import Workspace, Workspaces, scene_at
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -32,6 +32,8 @@ from jackbox_env.model.states import (
     Array,
     Counts,
     Flags,
+    add_numbers,
+    copy_numbers,
 )
 
 CLEAR, LEAVING, OUTSIDE, APPROACHING = range(4)  # how feet touch walls
@@ -57,9 +59,8 @@ class Played(NamedTuple):
 
 def scene_of(played: Played, i: int) -> tuple[SceneNumbers, StepParameters]:
     """The scene of a row, and the parameters of its steps."""
-    index = i if played.values.shape[0] > 1 else 0
-    scene = make_numbers(played.values[index])
-    return scene, make_parameters(scene, played.dt, played.drive_kinds[index])
+    scene = scene_at(played.values, i)
+    return scene, make_parameters(scene, played.dt, played.drive_kinds[i if played.values.shape[0] > 1 else 0])
 
 
 def torque_index(played: Played, k: int) -> int:
@@ -181,8 +182,9 @@ def propagate(
         before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
         first, last = rows_of(played, i, k)
         torque = played.torques[i, torque_index(played, k)]
-        shifts = by_time[first:last]
-        step_tangent(scene, params, torque, before, after, played.hits[first:last], shifts, tangent, memory)
+        step_tangent(
+            scene, params, torque, before, after, played.hits[first:last], by_time[first:last], tangent, memory
+        )
     else:
         tangent[:] = math.nan
 
@@ -196,8 +198,7 @@ def fill_identity(tangent: Array, seeds: Array) -> None:
     for index in range(FIRST_FIELD):
         tangent[index, index] = 1.0
     for column in range(seeds.shape[0]):
-        for index in range(seeds.shape[1]):
-            tangent[GRAVITY + index, FIRST_FIELD + column] = seeds[column, index]
+        copy_numbers(seeds.shape[1], seeds[column], tangent[GRAVITY:, FIRST_FIELD + column])
 
 
 def matrices(
@@ -226,11 +227,9 @@ def matrices(
                 propagate(played, scene, params, i, k, by_time, tangent, workspaces[0])
                 stale = not same
             for row in range(12):
-                for column in range(12):
-                    by_state[i, k, row, column] = tangent[row, column]
+                copy_numbers(12, tangent[row], by_state[i, k, row])
                 by_torque[i, k, row] = tangent[row, TORQUE]
-                for column in range(by_field.shape[3]):
-                    by_field[i, k, row, column] = tangent[row, FIRST_FIELD + column]
+                copy_numbers(by_field.shape[3], tangent[row, FIRST_FIELD:], by_field[i, k, row])
 
 
 def pull_back(
@@ -254,15 +253,13 @@ def pull_back(
     for i in range(span[0], span[1]):
         scene, params = scene_of(played, i)
         seed, pulled = seeds[i if seeds.shape[0] > 1 else 0], by_start[i]
-        for index in range(12):
-            pulled[index] = weights[i, steps, index]
+        copy_numbers(12, weights[i, steps], pulled)
         for k in range(steps - 1, -1, -1):
             knot, weight = torque_index(played, k), 0.0
             for index in range(12):
                 weight += abs(pulled[index])
             if weight == 0.0:  # later states have no weight
-                for index in range(12):
-                    pulled[index] = weights[i, k, index]
+                copy_numbers(12, weights[i, k], pulled)
                 continue
             if flies(played, i, k):
                 before, after = played.trajectories[i, k], played.trajectories[i, k + 1]
@@ -276,10 +273,8 @@ def pull_back(
                     by_field[i, column] += vjp_column(pulled, tangent, FIRST_FIELD + column)
                 for column in range(12):
                     memory.before[column] = vjp_column(pulled, tangent, column)
-                for column in range(12):
-                    pulled[column] = memory.before[column]
-            for index in range(12):
-                pulled[index] += weights[i, k, index]
+                copy_numbers(12, memory.before, pulled)
+            add_numbers(12, pulled, 1.0, weights[i, k])
 
 
 def vjp_column(weights: Array, tangent: Array, column: int) -> float:

@@ -27,10 +27,11 @@ from numpy.polynomial.chebyshev import cheb2poly
 from jackbox_env.exact.geometry import BoxFrame, View, box_frame, cos_sin, foot_gap, towards, view_of
 from jackbox_env.exact.workspace import POSITION_X, POSITION_Y, PSI, RATE_X, RATE_Y, SPIN, HeldFeet, Workspace
 from jackbox_env.jit.compiler import inlined
-from jackbox_env.model.scene import MOST_TURNS, SceneNumbers
+from jackbox_env.model.scene import MOST_TURNS, SceneNumbers, chirp_turns
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
+    RATES,
     THETA_BOX,
     THETA_JACK,
     VX_BOX,
@@ -42,6 +43,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    copy_numbers,
 )
 
 TURN, PUSH_X, PUSH_Y = range(3)
@@ -72,13 +74,13 @@ def integrate(memory: Workspace, axis: int, length: float) -> None:
         memory.powers[3 * axis + order + 1, 0] = -start
 
 
-def chirp_piece(
-    scene: SceneNumbers, turns: float, frequency: float, start: float, length: float, memory: Workspace
-) -> None:
-    """Fill in the box's angular acceleration under the chirp, ``start`` [s] after the time of ``turns``, ``frequency``.
+def chirp_piece(scene: SceneNumbers, time: float, start: float, length: float, memory: Workspace) -> None:
+    """Fill in the box's angular acceleration under the chirp, from ``start`` [s] after ``time`` [s] on.
 
     sin and cos of a phase with phi' = a + 2 b u obey s' = phi' c, c' = -phi' s, so their powers follow one another.
     """
+    turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
+    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     half = 0.5 * length
     middle = start + half
     growth = 0.5 * scene.chirp_rate
@@ -263,8 +265,8 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
     turned, spun = 0.5 * flight.alpha * s * s, flight.alpha * s
     if flight.curved:
         turned, spun = excursion(memory, TURN, flight, s)
-    state[X_BOX] += state[VX_BOX] * s
-    state[Y_BOX] += state[VY_BOX] * s
+    for index in (X_BOX, Y_BOX, X_JACK, THETA_JACK):
+        state[index] += state[RATES + index] * s
     if flight.pushed:
         moved, pushed = excursion(memory, PUSH_X, flight, s)
         state[X_BOX], state[VX_BOX] = state[X_BOX] + moved, state[VX_BOX] + pushed
@@ -272,10 +274,8 @@ def evolve(memory: Workspace, flight: Flight, s: float) -> None:
         state[Y_BOX], state[VY_BOX] = state[Y_BOX] + moved, state[VY_BOX] + pushed
     state[THETA_BOX] += state[OMEGA_BOX] * s + turned
     state[OMEGA_BOX] += spun
-    state[X_JACK] += state[VX_JACK] * s
     state[Y_JACK] += (state[VY_JACK] - 0.5 * flight.gravity * s) * s
     state[VY_JACK] -= flight.gravity * s
-    state[THETA_JACK] += state[OMEGA_JACK] * s
 
 
 def stays_clear(x: float, y: float, vx: float, vy: float, fall: float, dt: float, clear: float) -> bool:
@@ -304,18 +304,13 @@ def turned(angle: float, omega: float, alpha: float, dt: float) -> float:
 
 def free_flight(before: Array, after: Array, fall: float, dt: float, alpha: float) -> None:
     """Fly for ``dt`` [s] without a search for impacts; gravity reduces the jack's velocity by ``fall`` [m/s]."""
-    after[X_BOX] = moved(before[X_BOX], before[VX_BOX], dt)
-    after[Y_BOX] = moved(before[Y_BOX], before[VY_BOX], dt)
+    for index in (X_BOX, Y_BOX, X_JACK, THETA_JACK):
+        after[index] = moved(before[index], before[RATES + index], dt)
     after[THETA_BOX] = turned(before[THETA_BOX], before[OMEGA_BOX], alpha, dt)
-    after[X_JACK] = moved(before[X_JACK], before[VX_JACK], dt)
     after[Y_JACK] = fallen(before[Y_JACK], before[VY_JACK], fall, dt)
-    after[THETA_JACK] = moved(before[THETA_JACK], before[OMEGA_JACK], dt)
-    after[VX_BOX] = before[VX_BOX]
-    after[VY_BOX] = before[VY_BOX]
-    after[OMEGA_BOX] = before[OMEGA_BOX] + alpha * dt
-    after[VX_JACK] = before[VX_JACK]
-    after[VY_JACK] = before[VY_JACK] - fall
-    after[OMEGA_JACK] = before[OMEGA_JACK]
+    copy_numbers(6, before[RATES:], after[RATES:])
+    after[OMEGA_BOX] += alpha * dt
+    after[VY_JACK] -= fall
 
 
 @inlined

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.exact.workspace import scene_at
 from jackbox_env.model.scene import SceneNumbers, remainder
 from jackbox_env.model.states import (
     OMEGA_BOX,
@@ -231,11 +231,10 @@ def outside(values: Array, states: Array, deepest: Array) -> int:
     ``values`` has one scene for all states or one for each, ``deepest`` the allowed depth of a foot in each [m].
     """
     for i in range(states.shape[0]):
-        row = i if values.shape[0] > 1 else 0
-        scene = make_numbers(values[row])
+        scene = scene_at(values, i)
         for column in range(12):
             if not abs(states[i, column]) < _ORDINARY * scene.box_half_width:
                 return i
-        if not -clearance(scene, states[i]) <= deepest[row]:
+        if not -clearance(scene, states[i]) <= deepest[i if values.shape[0] > 1 else 0]:
             return i
     return -1

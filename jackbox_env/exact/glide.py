@@ -47,9 +47,9 @@ from jackbox_env.exact.workspace import (
     TORQUE,
     TURNING,
     Workspace,
-    make_numbers,
+    scene_at,
 )
-from jackbox_env.model.scene import SceneNumbers, chirp_turns
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     OMEGA_BOX,
     OMEGA_JACK,
@@ -66,6 +66,8 @@ from jackbox_env.model.states import (
     Y_JACK,
     Array,
     Counts,
+    add_numbers,
+    copy_numbers,
 )
 
 _DRIFT_COST = 0.005  # gap evaluations that take as long as one row's flight through a piece
@@ -117,9 +119,7 @@ def glide_block(dt: float, block: Block) -> None:
     for k in range(count):
         new_climb[k] = climb[k] - fall[k]
     for index in (VX_BOX, VY_BOX, VX_JACK, OMEGA_JACK):
-        here, there = before[index], after[index]
-        for k in range(count):
-            there[k] = here[k]
+        copy_numbers(count, before[index], after[index])
 
 
 def mark_near(dt: float, block: Block) -> None:
@@ -224,12 +224,10 @@ def glide_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block,
         return False
     mark_under_chirp(scene, params, block, time)
     enter_frames(block)
-    turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
-    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
     length, impulse = dt / pieces, 0.0
     memory.work += pieces * (1.0 + _DRIFT_COST * count)
     for number in range(pieces):
-        chirp_piece(scene, turns, frequency, number * length, length, memory)
+        chirp_piece(scene, time, number * length, length, memory)
         angle = horner(memory.powers[3 * TURN + 2], DEGREE + 2, 1.0)
         rate = horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
         impulse += rate
@@ -253,9 +251,7 @@ def enter_frames(block: Block) -> None:
         x[k] = before[X_JACK, k] - before[X_BOX, k]
         y[k] = before[Y_JACK, k] - before[Y_BOX, k]
     for index in (THETA_BOX, THETA_JACK, VX_BOX, VY_BOX, OMEGA_BOX, VX_JACK, VY_JACK, OMEGA_JACK):
-        here, there = before[index], after[index]
-        for k in range(count):
-            there[k] = here[k]
+        copy_numbers(count, before[index], after[index])
 
 
 def leave_frames(block: Block) -> None:
@@ -266,12 +262,8 @@ def leave_frames(block: Block) -> None:
         x[k] = before[X_JACK, k] + (x[k] - (before[X_JACK, k] - before[X_BOX, k]))
         y[k] = before[Y_JACK, k] + (y[k] - (before[Y_JACK, k] - before[Y_BOX, k]))
     for axis in (0, 1):
-        here, there, jack = before[axis], after[axis], scratch[axis]
-        for k in range(count):
-            there[k] = here[k] + there[k]
-        there = after[X_JACK + axis]
-        for k in range(count):
-            there[k] = jack[k]
+        add_numbers(count, after[axis], 1.0, before[axis])
+        copy_numbers(count, scratch[axis], after[X_JACK + axis])
 
 
 def mark_under_chirp(scene: SceneNumbers, params: StepParameters, block: Block, time: float) -> None:
@@ -294,24 +286,19 @@ def drift(block: Block, gravity: float, length: float, angle: float, rate: float
     """Fly all rows for ``length`` [s]; the chirp adds ``angle`` and ``rate`` to the box: see ``flight.evolve``."""
     after, scratch, count = block.after, block.scratch, block.size
     for axis in (0, 1):
-        there, speed = after[axis], after[RATES + axis]
-        for k in range(count):
-            there[k] += speed[k] * length
+        add_numbers(count, after[axis], length, after[RATES + axis])
     box_angle, omega = after[THETA_BOX], after[OMEGA_BOX]
     for k in range(count):
         box_angle[k] += omega[k] * length + angle
     for k in range(count):
         omega[k] += rate
     x, y, vx, vy = scratch[0], scratch[1], after[VX_JACK], after[VY_JACK]
-    for k in range(count):
-        x[k] += vx[k] * length
+    add_numbers(count, x, length, vx)
     for k in range(count):
         y[k] += (vy[k] - 0.5 * gravity * length) * length
     for k in range(count):
         vy[k] -= gravity * length
-    jack_angle, spin = after[THETA_JACK], after[OMEGA_JACK]
-    for k in range(count):
-        jack_angle[k] += spin[k] * length
+    add_numbers(count, after[THETA_JACK], length, after[OMEGA_JACK])
 
 
 def write_scene_params(values: Array, dt: float, scene_params: Array, numbers: Counts) -> None:
@@ -324,7 +311,7 @@ def write_scene_params(values: Array, dt: float, scene_params: Array, numbers: C
         numbers: of the environments.
     """
     for i in range(numbers.shape[0]):
-        scene = make_numbers(values[i if values.shape[0] > 1 else 0])
+        scene = scene_at(values, i)
         lane = scene_params[numbers[i] // scene_params.shape[2], :, numbers[i] % scene_params.shape[2]]
         lane[LIMIT], lane[INERTIA], lane[FALL] = scene.torque_limit, scene.box_inertia, scene.gravity * dt
         lane[CLEAR] = make_parameters(scene, dt, CONSTANT).clear

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jackbox_env.exact.contact import copy_state
 from jackbox_env.exact.flight import Piece, evolve, flight_of
 from jackbox_env.exact.step import Pieces, leave_frame, make_parameters, step
 from jackbox_env.exact.workspace import AFTER, BEFORE, Status, Workspace, Workspaces, make_numbers
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import Array, Counts
+from jackbox_env.model.states import Array, Counts, copy_numbers
 
 
 class Moments(NamedTuple):
@@ -63,5 +62,5 @@ def leave_frames(values: Array, dt: float, kind: int, starts: Array, log: Array,
     params = make_parameters(make_numbers(values), dt, kind)
     for row in range(log.shape[0]):
         for first in (BEFORE, AFTER):
-            copy_state(log[row, first:], memory.state)
+            copy_numbers(12, log[row, first:], memory.state)
             leave_frame(Status.DONE, params, starts[row], log[row, first:], memory, log[:0])

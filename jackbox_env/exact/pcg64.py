@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.exact.workspace import make_numbers
+from jackbox_env.exact.workspace import scene_at
 from jackbox_env.model.randomization import between
 from jackbox_env.model.scene import SceneNumbers, fall_speed, square_inertia
 from jackbox_env.model.states import THETA_JACK, X_JACK, Y_JACK, Array, Counts
@@ -57,7 +57,7 @@ def restart_blocks(values: Array, blocks: Array, numbers: Counts, words: Words) 
     """
     width = blocks.shape[2]
     for k in range(numbers.shape[0]):
-        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
+        scene = scene_at(values, k)
         row = blocks[numbers[k] // width, :, numbers[k] % width]
         row[:] = 0.0
         x = -1.0 + 2.0 * uniform(words[k])
@@ -113,8 +113,7 @@ def words_of(generator: np.random.Generator) -> Words:
     state, increment = int(numpy_state["state"]["state"]), int(numpy_state["state"]["inc"])
     low = (1 << 64) - 1
     half = numpy_state["has_uint32"], numpy_state["uinteger"]
-    words = [state >> 64, state & low, increment >> 64, increment & low, *half]
-    return np.array(words, dtype=np.uint64)
+    return np.array([state >> 64, state & low, increment >> 64, increment & low, *half], dtype=np.uint64)
 
 
 def generator_of(words: Words) -> np.random.Generator:

@@ -56,11 +56,7 @@ from jackbox_env.exact.search import (
 from jackbox_env.exact.workspace import FORCE, Contacts, HeldFeet, Status, Workspace
 from jackbox_env.model.complementarity import dot, mass_scale, nearest, project, violation_of
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import (
-    RATES,
-    X_BOX,
-    Array,
-)
+from jackbox_env.model.states import RATES, X_BOX, Array, add_numbers, copy_numbers
 
 _DEPENDENT = 1e-18  # square of a unit gradient's part orthogonal to those of held feet: below it, linearly dependent
 _FAINT = 1e-9  # of the largest multiplier at held feet: a smaller acceleration counts as 0
@@ -77,15 +73,6 @@ def list_contacts(scene: SceneNumbers, contacts: Contacts, state: Array, count: 
         pair = contacts.pairs[number]
         contacts.gaps[number] = gradient(scene, frame, pair // 4, pair % 4, contacts.gradients[number])
     return frame
-
-
-def mass_scale_accelerations(scene: SceneNumbers, memory: Workspace, state: Array, frame: Frame, count: int) -> None:
-    """Weight the free accelerations and the gradients, and fill in the bias Jdot qdot."""
-    contacts = memory.contacts
-    mass_scale(scene, contacts, count, memory.held.free)
-    for number in range(count):
-        turn = bias_acceleration(scene, state, frame, contacts.gradients[number], contacts.gaps[number])
-        contacts.bias[number] = turn / contacts.lengths[number]
 
 
 def list_slow(
@@ -131,7 +118,11 @@ def settle(
     while count > 0:
         memory.evaluations += 1.0
         list_contacts(scene, contacts, memory.state, count)
-        mass_scale_accelerations(scene, memory, state, frame, count)
+        # Weight the free accelerations and the gradients, and fill in the bias Jdot qdot.
+        mass_scale(scene, contacts, count, memory.held.free)
+        for number in range(count):
+            turn = bias_acceleration(scene, state, frame, contacts.gradients[number], contacts.gaps[number])
+            contacts.bias[number] = turn / contacts.lengths[number]
         chosen = active_set(contacts, count)
         # A foot that would bounce higher than the resolution is not at rest.
         bouncing = -1
@@ -160,8 +151,7 @@ def active_set(contacts: Contacts, count: int) -> tuple[int, int, int]:
             for j in range(i + 1 if size > 2 else 0, count if size > 1 else 1):
                 for k in range(j + 1 if size > 1 else 0, count):
                     if violation_of(contacts, count, size, k, j, i) <= _FAINT * contacts.multipliers[0]:
-                        for index in range(3):
-                            contacts.best[index] = contacts.multipliers[index]
+                        copy_numbers(3, contacts.multipliers, contacts.best)
                         return k, j if size > 1 else -1, i if size > 2 else -1
     one, two, three = nearest(contacts, count)
     if one >= 0:
@@ -230,12 +220,9 @@ def orthogonalized(contacts: Contacts, size: int, row: Array) -> float:
     Returns its square.
     """
     part = contacts.basis[size]
-    for index in range(6):
-        part[index] = row[index]
+    copy_numbers(6, row, part)
     for number in range(size):
-        share = dot(part, contacts.basis[number])
-        for index in range(6):
-            part[index] -= share * contacts.basis[number, index]
+        add_numbers(6, part, -dot(part, contacts.basis[number]), contacts.basis[number])
     return dot(part, part)
 
 
@@ -307,10 +294,10 @@ def advance_held(
     )  # fmt: skip
     event = Event(NO_IMPACT, end, 0, 0)
     if count < 3:  # else the jack cannot move in the box
-        limits = Limits(curvature_while_held(scene, memory.held, length), end, 0.5 * tolerances.tolerance)
+        limits = Limits(curvature_while_held(scene, memory.held.series, length), end, 0.5 * tolerances.tolerance)
         event = first_of_all(scene, memory, flight, view, ALL, event, limits, -math.inf)
         end = event.time
-    if event.kind == UNDECIDED or memory.evaluations > MOST_WORK:
+    if event.outcome == UNDECIDED or memory.evaluations > MOST_WORK:
         return why_undecided(memory), 0.0
     for contact in range(count):
         impulse = max(scaled_impulse(memory.held, contact, end / length) / length, 0.0)
@@ -318,7 +305,7 @@ def advance_held(
     carry(scene, memory, flight, free, end)
     memory.elapsed += end
     ended = Status.DONE
-    if event.kind == IMPACT:
+    if event.outcome == IMPACT:
         memory.evaluations += 1.0
         ended = resolve(scene, memory, log, resolution, event.wall, event.foot)
     elif released >= 0 and end == 0.0:

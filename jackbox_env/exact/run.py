@@ -41,12 +41,13 @@ from jackbox_env.exact.workspace import (
     Workspace,
     arguments_at,
     make_numbers,
+    scene_at,
 )
 from jackbox_env.jit.compiler import inlined
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.mechanics import energy_of
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import LATEST_TIME, Array, Flags
+from jackbox_env.model.states import LATEST_TIME, Array, Flags, copy_numbers
 
 PATIENCE = 2e6  # work before a call pauses, in gap evaluations: 0.3 s, 1.2 s if most of them find impacts
 STOPPED = 2.0  # in the row OVER of a block: an impact stopped the row; 1.0: its episode is over
@@ -95,7 +96,7 @@ def run(address: Any, low: int, high: int, first: int) -> tuple[int, int, int, i
                 return ended.value, block.first + lane, k, finished, recorded
             memory.work += block.size
             finished += close_block(rules, block, call.results, waiting > 0, ends != 0, k + 1)
-            record(address, scene, block, k)
+            record(address, block, k)
         finished += count_decisions(call, number)
         bad = finish_block(call, number)
         if bad >= 0:
@@ -155,16 +156,16 @@ def set_torques(address: Any, block: Block, k: int) -> int:
         torque[:] = 0.0
         return -1
     if call.rules.controls == CONTROL_ACTIONS:
-        act = block_actor(call.rules.act)
-        return act(call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt)
+        return block_actor(call.rules.act)(
+            call.scenes.values, block.before, block.scratch, controls, block.first, block.size, call.rules.dt
+        )
     step_controls = controls[k // (call.rules.steps // controls.shape[0])]
     here, usable = step_controls[block.first : block.first + block.size], 0
     if call.rules.controls == CONTROL_SHARES:
         for lane in range(block.size):
             torque[lane] = max(-1.0, min(1.0, here[lane])) * limit[lane]
     else:
-        for lane in range(block.size):
-            torque[lane] = here[lane]
+        copy_numbers(block.size, here, torque)
     for lane in range(block.size):
         usable += 1 if abs(here[lane]) < math.inf else 0
     return -1 if usable == block.size else first_unusable(block, step_controls)
@@ -266,8 +267,7 @@ def skip_remaining_steps(call: Arguments, block: Block, k: int) -> bool:
         if block.before[OVER, lane] == 0.0:
             return False
     for column in range(HEIGHT if (call.rules.steps - k) & 1 else 0):
-        for lane in range(block.size):
-            block.after[column, lane] = block.before[column, lane]
+        copy_numbers(block.size, block.before[column], block.after[column])
     return True
 
 
@@ -299,8 +299,9 @@ def finish_block(call: Arguments, number: int) -> int:
             rows[OVER, lane] = 0.0
     if not call.results.observations.shape[0]:
         return -1
-    observe = block_observer(call.rules.observe)
-    return observe(call.scenes.values, rows, size, call.memory.scratch, first, call.results.observations)
+    return block_observer(call.rules.observe)(
+        call.scenes.values, rows, size, call.memory.scratch, first, call.results.observations
+    )
 
 
 def keep_waiting(block: Block) -> int:
@@ -310,8 +311,7 @@ def keep_waiting(block: Block) -> int:
         waiting += 1 if over[lane] != 0.0 else 0
     for lane in range(block.size if waiting else 0):
         if over[lane] != 0.0:
-            for column in range(12):
-                block.after[column, lane] = block.before[column, lane]
+            copy_numbers(12, block.before[:, lane], block.after[:, lane])
     return waiting
 
 
@@ -339,8 +339,7 @@ def close_block(rules: Rules, block: Block, results: Results, waiting: bool, end
         new_time[k] = time[k] + rules.dt
     for k in range(count):
         new_steps[k] = steps[k] + 1.0
-    for k in range(count if rules.decisions < math.inf else 0):
-        after[DECISIONS, k] = before[DECISIONS, k]
+    copy_numbers(count if rules.decisions < math.inf else 0, before[DECISIONS], after[DECISIONS])
     for k in range(count):
         new_over[k] = 1.0 if new_steps[k] >= rules.longest else 0.0
     for k in range(count):
@@ -364,11 +363,11 @@ def stop_rows(rules: Rules, block: Block, made: int) -> None:
     separated, hits, over = block.scratch[SEPARATED], block.scratch[HITS], block.after[OVER]
     for k in range(block.size):
         separated[k] = 1.0 if hits[k] == 0.0 or (made > 1 and separated[k] != 0.0) else 0.0
-        if over[k] == 0.0 and is_over(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
+        if over[k] == 0.0 and ends_decision(made, separated[k] != 0.0, hits[k] > 0.0, rules.max_contact_steps):
             over[k] = STOPPED
 
 
-def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
+def record(address: Any, block: Block, k: int) -> None:
     """Record what the caller wants of a step: states, energies, impacts, ends of episodes."""
     call = arguments_at(address)
     results, steps = call.results, call.rules.steps
@@ -379,10 +378,9 @@ def record(address: Any, scene: SceneNumbers, block: Block, k: int) -> None:
     for lane in range(block.size):
         row = block.first + lane
         if trajectories.shape[0] and block.before[OVER, lane] == 0.0:
-            for column in range(12):
-                trajectories[row, index, column] = block.after[column, lane]
+            copy_numbers(12, block.after[:, lane], trajectories[row, index])
         if energies.shape[0]:
-            row_scene = make_numbers(values[row]) if values.shape[0] > 1 else scene
+            row_scene = scene_at(values, row)
             if k == 0:
                 energies[row, 0] = energy_of(row_scene, block.before[:, lane])
             energies[row, k + 1] = energy_of(row_scene, block.after[:, lane])

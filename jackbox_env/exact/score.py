@@ -3,9 +3,9 @@
 ``run.py`` calls :func:`act_block` before each step of a block, :func:`score_block` after it, and :func:`observe_block`
 or :func:`observe_rows` after the last one; a single environment is a block of one row. They are called by their address
 (:mod:`jackbox_env.jit.compiler`): they are compiled for each task, observation and action with its functions in place
-of :func:`task_terms`, :func:`task_over`, :func:`observe` and :func:`action_torque`, while ``run`` is compiled once. For
-a user's observation :func:`observe_values` replaces :func:`observe`. The default observation has a block function of
-its own, :func:`observe_block`.
+of :func:`task_terms`, :func:`task_over`, :func:`observation_values` and :func:`action_torque`, while ``run`` is
+compiled once. For a user's observation :func:`observe_values` replaces :func:`observe`. The default observation has a
+block function of its own, :func:`observe_block`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,26 @@ from jackbox_env.exact.workspace import (
     TIME,
     TORQUE,
     make_numbers,
+    scene_at,
 )
 from jackbox_env.jit.compiler import called_at, numbers_in
-from jackbox_env.model.landing import at_landing, landing_features
 from jackbox_env.model.observation import components
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, Counts, Flags, Floats, State, total
+from jackbox_env.model.states import (
+    THETA_BOX,
+    THETA_JACK,
+    Array,
+    Counts,
+    Flags,
+    Floats,
+    State,
+    add_numbers,
+    copy_numbers,
+    total,
+)
 
+# In place of those of the C library in the functions of built-in observations.
+COSINES: dict[str, Any] = {"cosine_and_sine": cos_sin, "less_turns": without_turns}
 block_observer = called_at(lambda t: t.i8(t.f8[:, ::1], t.f8[:, ::1], t.i8, t.f8[:, ::1], t.i8, t.f4[:, ::1]))
 LOW, HIGH = np.zeros(1), np.zeros(1)  # placeholders for the bounds of a user's observation
 
@@ -43,34 +56,14 @@ def state_in(row: Array) -> State:
 
 
 def observe(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
-    """Write the ten numbers of a state; whether none of them is NaN. Replaced if another observation is compiled."""
-    named = state_in(state)
-    cosine, sine = cos_sin(named.theta_box)
-    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
-    return True
-
-
-def observe_landing(scene: SceneNumbers, state: Array, time: float, observation: Floats) -> bool:
-    """Write the ten numbers and the landing features of a state."""
-    named = state_in(state)
-    cosine, sine = cos_sin(named.theta_box)
-    cosine_4, sine_4 = cos_sin(4.0 * (named.theta_jack - named.theta_box))
-    write(scene, state, cosine, sine, cosine_4, sine_4, observation)
-    duration, relative, world = at_landing(scene, named)
-    cosine_4, sine_4 = cos_sin(relative)
-    cosine_8, sine_8 = cos_sin(2.0 * relative)
-    cosine, sine = cos_sin(world)
-    features = landing_features(
-        scene, named, duration, without_turns(named.theta_box), cosine_4, sine_4, cosine_8, sine_8, cosine, sine
-    )
-    for k in range(len(features)):
-        observation[10 + k] = features[k]
+    """Write the numbers of a built-in observation; whether none of them is NaN. Replaced if it is a user's."""
+    values = numbers_in(observation_values(scene, state_in(state), time))
+    copy_numbers(len(values), values, observation)
     return True
 
 
 def observation_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """Placeholder for the function of a user's observation, which replaces it when that is compiled."""
+    """Placeholder for the function of an observation, which replaces it when that is compiled."""
     raise NotImplementedError
 
 
@@ -89,10 +82,8 @@ def observe_rows(values: Array, block: Array, count: int, scratch: Array, low: i
 
     ``values`` are the scenes' numbers, one row for all environments or one for each; ``low`` is the block's first one.
     """
-    several = values.shape[0] > 1
     for k in range(count):
-        scene = make_numbers(values[low + k if several else 0])
-        if not observe(scene, block[:, k], block[TIME, k], observations[low + k]):
+        if not observe(scene_at(values, low + k), block[:, k], block[TIME, k], observations[low + k]):
             return k
     return -1
 
@@ -102,8 +93,7 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
     angle, jack_angle = block[THETA_BOX], block[THETA_JACK]
     cosine, sine, cosine_4, sine_4 = scratch[0], scratch[1], scratch[2], scratch[3]
     beyond = 0
-    for k in range(count):
-        cosine[k] = angle[k]
+    copy_numbers(count, angle, cosine)
     for k in range(count):
         cosine_4[k] = 4.0 * (jack_angle[k] - angle[k])
     for k in range(count):
@@ -117,9 +107,8 @@ def observe_block(values: Array, block: Array, count: int, scratch: Array, low: 
         for k in range(count):
             cosine[k], sine[k] = cos_sin(cosine[k])
             cosine_4[k], sine_4[k] = cos_sin(cosine_4[k])
-    several = values.shape[0] > 1
     for k in range(count):
-        scene = make_numbers(values[low + k if several else 0])
+        scene = scene_at(values, low + k)
         write(scene, block[:, k], cosine[k], sine[k], cosine_4[k], sine_4[k], observations[low + k])
     return -1
 
@@ -140,9 +129,8 @@ def observe_chosen(values: Array, blocks: Array, numbers: Counts, observations: 
     """
     width = blocks.shape[2]
     for k in range(numbers.shape[0]):
-        scene = make_numbers(values[k if values.shape[0] > 1 else 0])
         row = blocks[numbers[k] // width, :, numbers[k] % width]
-        if not observe(scene, row, row[TIME], observations[numbers[k]]):
+        if not observe(scene_at(values, k), row, row[TIME], observations[numbers[k]]):
             return int(numbers[k])
     return -1
 
@@ -196,12 +184,11 @@ def act_block(values: Array, before: Array, scratch: Array, controls: Array, fir
         size: rows of the block.
         dt: control step [s].
     """
-    several = values.shape[0] > 1
     for k in range(size):
         scratch[APPLIED, k] = 0.0
         if before[OVER, k] == 0.0:
             number = first + k
-            scene, state = make_numbers(values[number if several else 0]), state_in(before[:, k])
+            scene, state = scene_at(values, number), state_in(before[:, k])
             share = 1.0 * action_torque(scene, state, action_in(controls, number), before[TIME, k], dt)  # of a bool too
             if share != share:
                 return k
@@ -236,8 +223,7 @@ def task_over(scene: SceneNumbers, state: State, torque: float, impulse: float) 
 def score_one(values: Array, state: Array, torque: float, impulse: float, terms: Array) -> None:
     """Fill in the values of the reward's terms after a step to a state, for the page of ``jackbox play``."""
     earned = numbers_in(task_terms(make_numbers(values), state_in(state), torque, impulse))
-    for term in range(len(earned)):
-        terms[term] = earned[term]
+    copy_numbers(len(earned), earned, terms)
 
 
 def score_block(
@@ -261,9 +247,9 @@ def score_block(
         reports: of all environments, shape (N, TERMS + number of terms), or (0, ...) if not wanted.
     """
     torque, hits, impulses, unusable = scratch[TORQUE], scratch[HITS], scratch[IMPULSE_SUM], 0
-    ends, several, count = 0, values.shape[0] > 1, min(after.shape[1], rewards.shape[0] - first)
+    ends, count = 0, min(after.shape[1], rewards.shape[0] - first)
     rewards, terminations = rewards[first : first + count], terminations[first : first + count]  # of the block
-    if not (several or waiting):
+    if not (values.shape[0] > 1 or waiting):
         scene = make_numbers(values[0])
         for k in range(count):
             rewards[k] = total(numbers_in(task_terms(scene, state_in(after[:, k]), torque[k], impulses[k])))
@@ -275,7 +261,7 @@ def score_block(
         for k in range(count):
             rewards[k] = 0.0
             if over[k] == 0.0:
-                row_scene = make_numbers(values[first + k if several else 0])
+                row_scene = scene_at(values, first + k)
                 rewards[k] = total(numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k])))
                 if task_over(row_scene, state_in(after[:, k]), torque[k], impulses[k]):
                     terminations[k] = True
@@ -285,13 +271,11 @@ def score_block(
     for k in range(count if reports.shape[0] else 0):
         if over[k] == 0.0:
             report = reports[first + k]
-            row_scene = make_numbers(values[first + k if several else 0])
-            earned = numbers_in(task_terms(row_scene, state_in(after[:, k]), torque[k], impulses[k]))
+            earned = numbers_in(task_terms(scene_at(values, first + k), state_in(after[:, k]), torque[k], impulses[k]))
             if made == 0:  # -0.0 stays -0.0
                 report[:] = -0.0
             report[REPORTED_TORQUE] += torque[k]
             report[REPORTED_HITS] += hits[k]
             report[REPORTED_IMPULSE] += impulses[k]
-            for term in range(len(earned)):
-                report[TERMS + term] += earned[term]
+            add_numbers(len(earned), report[TERMS:], 1.0, earned)
     return -1 if unusable else ends

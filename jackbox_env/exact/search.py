@@ -54,9 +54,9 @@ _PATIENT = 10_000.0  # gap evaluations in a search for one foot's impact before 
 
 
 class Event(NamedTuple):
-    """The outcome of a search."""
+    """What a search has found."""
 
-    kind: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
+    outcome: int  # IMPACT, NO_IMPACT, UNDECIDED or AT_REST
     time: float  # since the flight's start [s]; NO_IMPACT: the search's end
     wall: int  # of an impact
     foot: int
@@ -137,7 +137,7 @@ def first_of_all(
     curvature, half_tolerance = limits.curvature, limits.half_tolerance
     frame, cosine, sine, spin, since = view
     longest = scene.jack_arm * max(abs(cosine), abs(sine))
-    if likely.kind == IMPACT:
+    if likely.outcome == IMPACT:
         ahead, speed = towards(frame, likely.wall)
         gap, rate = foot_gap(scene, ahead, speed, cosine, sine, spin, likely.foot - likely.wall)
         time = search(scene, memory, flight, limits, likely.wall, likely.foot, since, gap, rate)
@@ -157,14 +157,14 @@ def first_of_all(
             horizon = first.time - since
             if gap > half_tolerance and gap + (rate - 0.5 * curvature * horizon) * horizon > 0.0:
                 continue
-            searched = likely.kind == IMPACT and likely.wall == wall and likely.foot == foot
+            searched = likely.outcome == IMPACT and likely.wall == wall and likely.foot == foot
             if flight.held & (1 << (4 * wall + foot)) or searched:
                 continue
             if may_rest(scene, memory, flight, limits, gap, rate, resolution):
                 return Event(AT_REST, 0.0, wall, foot)
             until = Limits(curvature, first.time, half_tolerance)
             time = search(scene, memory, flight, until, wall, foot, since, gap, rate)
-            if time < first.time or (time == first.time and first.kind == NO_IMPACT):
+            if time < first.time or (time == first.time and first.outcome == NO_IMPACT):
                 first = Event(IMPACT, time, wall, foot)
     return Event(UNDECIDED, first.time, 0, 0) if memory.evaluations > MOST_WORK else first
 
@@ -212,7 +212,7 @@ def first_impact_fast_rotation(
         s += step
         if away < s < back:
             s = back
-        if likely.kind == NO_IMPACT or s >= end:
+        if likely.outcome == NO_IMPACT or s >= end:
             return none
         memory.evaluations += 1.0
         view = view_at(flight, memory, s)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from jackbox_env.exact.contact import ContactTolerances, contact_resolution, contact_tolerance, record_rest, resolve
+from jackbox_env.exact.contact import ContactTolerances, contact_resolution, record_rest, resolve
 from jackbox_env.exact.flight import (
     DEGREE,
     TURN,
@@ -47,7 +47,7 @@ from jackbox_env.exact.search import (
 )
 from jackbox_env.exact.workspace import AT_IMPACT, DRIVEN_THERE, WIDE, Status, Workspace
 from jackbox_env.jit.compiler import inlined
-from jackbox_env.model.scene import SceneNumbers, chirp_turns
+from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.states import (
     LARGEST,
     RATES,
@@ -62,6 +62,7 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    copy_numbers,
 )
 
 # Gap evaluations that take as long as a step with feet at rest; a piece of a drive takes as long as one.
@@ -97,7 +98,9 @@ def make_parameters(scene: SceneNumbers, dt: float, kind: int) -> StepParameters
     distance = (scene.box_half_width - scene.jack_arm) * (1.0 - 1e-12) - 0.125 * scene.gravity * dt * dt
     clear = distance * distance if distance > 0.0 else -1.0
     per_radian = _FOUR_ULPS * scene.box_half_width if scene.restitution < 1.0 else 0.0
-    return StepParameters(dt, kind, clear, contact_tolerance(scene), per_radian)
+    # 1e-13 m, less in boxes below 1 m, never below the rounding of a gap.
+    tolerance = max(1e-13 * min(1.0, scene.box_half_width), 3.6e-15 * scene.box_half_width)
+    return StepParameters(dt, kind, clear, tolerance, per_radian)
 
 
 def step(
@@ -139,10 +142,7 @@ def step(
     if not is_resolved(scene, before):
         return Status.TOO_FAST, 0.0
     tolerances = enter_frame(params, before, memory)
-    if params.drive_kind == CHIRP:
-        ended, impulse = advance_chirp(scene, params, time, tolerances, memory, log)
-    else:
-        ended, impulse = advance_pieces(scene, params, torque, pieces, tolerances, memory, log)
+    ended, impulse = advance_pieces(scene, params, time, torque, pieces, tolerances, memory, log)
     mean = torque if params.drive_kind == CONSTANT_BESIDE_FORCES else impulse / params.dt
     return leave_frame(ended, params, before, after, memory, log), mean
 
@@ -177,8 +177,7 @@ def enter_frame(params: StepParameters, before: Array, memory: Workspace) -> Con
     turned.
     """
     state = memory.state
-    for index in range(12):
-        state[index] = before[index]
+    copy_numbers(12, before, state)
     state[X_BOX] = state[Y_BOX] = 0.0
     state[X_JACK], state[Y_JACK] = before[X_JACK] - before[X_BOX], before[Y_JACK] - before[Y_BOX]
     if params.per_radian > 0.0:
@@ -222,10 +221,9 @@ def leave_frame(
         total += abs(state[index])
     if not total < LARGEST:
         return Status.TOO_FAST
-    jack_x = before[X_JACK] + (state[X_JACK] - (before[X_JACK] - before[X_BOX]))
-    jack_y = before[Y_JACK] + (state[Y_JACK] - (before[Y_JACK] - before[Y_BOX]))
-    after[X_BOX], after[Y_BOX] = before[X_BOX] + state[X_BOX], before[Y_BOX] + state[Y_BOX]
-    after[X_JACK], after[Y_JACK] = jack_x, jack_y
+    for box, jack in ((X_BOX, X_JACK), (Y_BOX, Y_JACK)):
+        after[box] = before[box] + state[box]
+        after[jack] = before[jack] + (state[jack] - (before[jack] - before[box]))
     after[THETA_BOX], after[THETA_JACK] = state[THETA_BOX], state[THETA_JACK]
     if params.per_radian > 0.0:
         angle, jack_angle = angles_in_step(before)
@@ -233,66 +231,46 @@ def leave_frame(
             before[THETA_BOX] + (state[THETA_BOX] - angle),
             before[THETA_JACK] + (state[THETA_JACK] - jack_angle),
         )
-    for index in range(RATES, 12):
-        after[index] = state[index]
+    copy_numbers(6, state[RATES:], after[RATES:])
     record_rest(memory, log, params.dt)
     return ended
 
 
-def advance_chirp(
-    scene: SceneNumbers,
-    params: StepParameters,
-    time: float,
-    tolerances: ContactTolerances,
-    memory: Workspace,
-    log: Array,
-) -> tuple[Status, float]:
-    """Advance through a step under the chirp; return how it ended and the torque's impulse [N m s]."""
-    count = chirp_pieces(scene, time, params.dt)
+def advance_pieces(
+    scene: SceneNumbers, params: StepParameters, time: float, torque: float, pieces: Pieces,
+    tolerances: ContactTolerances, memory: Workspace, log: Array,
+) -> tuple[Status, float]:  # fmt: skip
+    """Advance through a step under the chirp, a drive of functions, or a held torque and the side forces of a drive.
+
+    Returns how it ended, and the torque's impulse [N m s].
+    """
+    chirp = params.drive_kind == CHIRP
+    count = chirp_pieces(scene, time, params.dt) if chirp else pieces.last - pieces.first
     if count == 0:
-        return Status.TOO_MANY_TURNS, 0.0
-    turns = chirp_turns(scene.chirp_start_frequency, scene.chirp_rate, time)
-    frequency = scene.chirp_start_frequency + scene.chirp_rate * time
+        return Status.TOO_MANY_TURNS if chirp else Status.NO_DRIVE, 0.0
     length, impulse, memory.pieces = params.dt / count, 0.0, count
     for number in range(count):
-        chirp_piece(scene, turns, frequency, number * length, length, memory)
+        if chirp:
+            chirp_piece(scene, time, number * length, length, memory)
+        else:
+            length = pieces.table[pieces.first + number, 1]
+            function_piece(scene, params, torque, pieces.table[pieces.first + number], memory)
         impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, False), tolerances)
+        ended = advance(scene, memory, log, curved_piece(memory, length, not chirp), tolerances)
         if ended != Status.DONE:
             return ended, 0.0
     return Status.DONE, scene.box_inertia * impulse
 
 
-def advance_pieces(
-    scene: SceneNumbers,
-    params: StepParameters,
-    torque: float,
-    pieces: Pieces,
-    tolerances: ContactTolerances,
-    memory: Workspace,
-    log: Array,
-) -> tuple[Status, float]:
-    """Advance through a step under a drive of functions, or a held torque and its side forces."""
-    impulse, table = 0.0, pieces.table
-    if pieces.first == pieces.last:
-        return Status.NO_DRIVE, 0.0
-    memory.pieces = pieces.last - pieces.first
-    for number in range(pieces.first, pieces.last):
-        length = table[number, 1]
-        for axis in range(3):
-            inertia = scene.box_inertia if axis == TURN else scene.box_mass
-            for k in range(DEGREE + 1):
-                memory.powers[3 * axis, k] = table[number, 2 + axis * (DEGREE + 1) + k] / inertia
-            if axis == TURN and params.drive_kind == CONSTANT_BESIDE_FORCES:
-                for k in range(DEGREE + 1):
-                    memory.powers[3 * axis, k] = 0.0
-                memory.powers[3 * axis, 0] = torque / inertia
-            integrate(memory, axis, length)
-        impulse += horner(memory.powers[3 * TURN + 1], DEGREE + 1, 1.0)
-        ended = advance(scene, memory, log, curved_piece(memory, length, True), tolerances)
-        if ended != Status.DONE:
-            return ended, 0.0
-    return Status.DONE, scene.box_inertia * impulse
+def function_piece(scene: SceneNumbers, params: StepParameters, torque: float, row: Array, memory: Workspace) -> None:
+    """Fill in the accelerations of the box by functions, a row of their table, and by a ``torque`` if one is held."""
+    for axis in range(3):
+        inertia = scene.box_inertia if axis == TURN else scene.box_mass
+        for k in range(DEGREE + 1):
+            memory.powers[3 * axis, k] = row[2 + axis * (DEGREE + 1) + k] / inertia
+        if axis == TURN and params.drive_kind == CONSTANT_BESIDE_FORCES:  # for which the table has no torque
+            memory.powers[3 * axis, 0] = torque / inertia
+        integrate(memory, axis, row[1])
 
 
 def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, tolerances: ContactTolerances) -> Status:
@@ -312,7 +290,7 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
         flight = flight_of(scene, memory.state, piece, since)
         rest_resolution = -math.inf if none_rests else resolution
         event = first_impact(scene, memory, flight, piece, horizon, tolerances.tolerance, rest_resolution)
-        if event.kind == AT_REST:
+        if event.outcome == AT_REST:
             ended, time = advance_resting(scene, memory, log, piece, flight, horizon, tolerances, resolution)
             if ended == Status.FREE:
                 none_rests = True
@@ -324,9 +302,9 @@ def advance(scene: SceneNumbers, memory: Workspace, log: Array, piece: Piece, to
             continue
         none_rests = False
         memory.held.released = 0
-        if event.kind == UNDECIDED:
+        if event.outcome == UNDECIDED:
             return why_undecided(memory)
-        if event.kind == NO_IMPACT:
+        if event.outcome == NO_IMPACT:
             if untouched and horizon == remaining:
                 return Status.FREE
             evolve(memory, flight, horizon)  # without an impact
@@ -358,6 +336,5 @@ def strike(
 
 def record_state(row: Array, flight: Flight, memory: Workspace, time: float) -> None:
     """Write the state before an impact ``time`` [s] into the flight, and the drive's accelerations, to a wide log."""
-    for index in range(12):
-        row[AT_IMPACT + index] = memory.state[index]
+    copy_numbers(12, memory.state, row[AT_IMPACT:])
     row[DRIVEN_THERE], row[DRIVEN_THERE + 1], row[DRIVEN_THERE + 2] = driven_at(flight, memory, time)

@@ -40,6 +40,8 @@ from jackbox_env.model.states import (
     Y_BOX,
     Y_JACK,
     Array,
+    add_numbers,
+    copy_numbers,
 )
 
 # Rows of a tangent below the state's 12: a torque added throughout the step, and the scene's parameters.
@@ -94,8 +96,7 @@ def fly_back(scene: SceneNumbers, weights: Array, s: float, drift: Array, seed: 
             by_field[column] -= mass / scene.box_mass * seed[column, BOX_MASS - GRAVITY]
             by_field[column] -= inertia / scene.box_inertia * seed[column, BOX_INERTIA - GRAVITY]
     torque = (half * weights[THETA_BOX] + s * weights[OMEGA_BOX]) / scene.box_inertia
-    for index in range(6):
-        weights[RATES + index] += s * weights[index]
+    add_numbers(6, weights[RATES:], s, weights)
     return float(torque)
 
 
@@ -119,12 +120,10 @@ def locate(scene: SceneNumbers, hit: Array, memory: Workspace) -> float:
     that of then.
     """
     at, row = memory.before, memory.contacts.gradients[0]
-    for index in range(12):
-        at[index] = hit[AT_IMPACT + index]
+    copy_numbers(12, hit[AT_IMPACT:], at)
     gap = gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     shift = impact_time_shift(gap, rate_of(at, row))
-    for index in range(6):
-        at[index] += at[RATES + index] * shift
+    add_numbers(6, at, shift, at[RATES:])
     accelerate(scene, hit, at[RATES:], shift)
     gradient(scene, frame_of(at), int(hit[1]), int(hit[2]), row)
     return shift
@@ -136,23 +135,19 @@ def saltate(scene: SceneNumbers, tangent: Array, hit: Array, memory: Workspace) 
     frame, rate, inverse_effective_mass = frame_of(at), rate_of(at, row), inverse_mass(scene, row)
     extent = scene.box_half_width - (row[X_BOX] * frame.x + row[Y_BOX] * frame.y)  # of the foot along the normal
     impulse, after = -(1.0 + scene.restitution) * rate / inverse_effective_mass, memory.contacts.rates
-    for index in range(6):
-        after[index] = at[RATES + index]
+    copy_numbers(6, at[RATES:], after)
     kick(scene, after, row, impulse)
     for column in range(tangent.shape[1]):
         d = tangent[:, column]
         wider = d[HALF_WIDTH] - extent / scene.jack_arm * d[JACK_ARM]
         shift = d[IMPACT_TIME_SHIFT] = impact_time_shift(gap_change(d, row) + wider, rate)
         # To the moment of impact, through the law there, and back with the velocities after it.
-        for index in range(6):
-            d[index] += at[RATES + index] * shift
+        add_numbers(6, d, shift, at[RATES:])
         accelerate(scene, hit, d[RATES:], shift)
         change_rates(scene, at, row, frame, rate, impulse, inverse_effective_mass, d)
-        for index in range(6):
-            d[index] -= after[index] * shift
+        add_numbers(6, d, -shift, after)
         accelerate(scene, hit, d[RATES:], -shift)
-    for index in range(6):
-        at[RATES + index] = after[index]
+    copy_numbers(6, after, at[RATES:])
 
 
 def gap_change(d: Array, row: Array) -> float:
@@ -199,9 +194,11 @@ def change_rates(
     d_gap_rate += box_lever * at[OMEGA_BOX] + lever * at[OMEGA_JACK] - turn_x * vx - turn_y * vy
     box_mass, jack_mass = d[BOX_MASS] / scene.box_mass, d[JACK_MASS] / scene.jack_mass  # relative changes
     box_inertia, jack_inertia = d[BOX_INERTIA] / scene.box_inertia, d[JACK_INERTIA] / scene.jack_inertia
-    d_inverse_mass = box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
-    d_inverse_mass += jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
-    d_inverse_mass -= box_mass / scene.box_mass + jack_mass / scene.jack_mass
+    d_inverse_mass = (
+        box_arm * (2.0 * box_lever - box_arm * box_inertia) / scene.box_inertia
+        + jack_arm * (2.0 * lever - jack_arm * jack_inertia) / scene.jack_inertia
+        - (box_mass / scene.box_mass + jack_mass / scene.jack_mass)
+    )
     d_impulse = (
         -((1.0 + scene.restitution) * d_gap_rate + d[RESTITUTION] * rate + impulse * d_inverse_mass)
         / inverse_effective_mass
@@ -248,8 +245,7 @@ def step_tangent(
         drifted(params, alpha, state, memory.before, time - since, drift)
         fly_tangent(scene, tangent, time - since, drift)
         saltate(scene, tangent, hit, memory)
-        for index in range(12):
-            state[index] = memory.before[index]
+        copy_numbers(12, memory.before, state)
         since = time
         for column in range(by_time.shape[1] if number < by_time.shape[0] else 0):
             by_time[number, column] = tangent[IMPACT_TIME_SHIFT, column]

@@ -310,16 +310,13 @@ def pack(
     scratch: Array, workspaces: Workspaces, log: Array,
 ) -> Any:  # fmt: skip
     """Store the arguments of :func:`jackbox_env.exact.run.run` in ``memory``; return the address there."""
-    filled = Arguments(
-        Scenes(*scenes),
-        Rules(*rules),
-        before,
-        after,
-        controls,
-        Results(*results),
-        ThreadMemory(scratch, workspaces, log),
-    )
-    return packed(memory.ctypes.data, filled)
+    return packed(
+        memory.ctypes.data,
+        Arguments(
+            Scenes(*scenes), Rules(*rules), before, after, controls, Results(*results),
+            ThreadMemory(scratch, workspaces, log),
+        ),
+    )  # fmt: skip
 
 
 def pack_arrays(
@@ -352,3 +349,8 @@ def make_numbers(values: Array) -> SceneNumbers:
         values[0], values[1], values[2], values[3], values[4], values[5],
         values[6], values[7], values[8], values[9], values[10], values[11], values[12],
     )  # fmt: skip
+
+
+def scene_at(values: Array, row: int) -> SceneNumbers:
+    """The numbers of a row's scene, where ``values`` has one row for all or one for each."""
+    return make_numbers(values[row if values.shape[0] > 1 else 0])

@@ -67,12 +67,12 @@ def play(
         ended, new(count, 12), new(count * wanted.trajectories, steps + 1, 12), new(count * wanted.energy, steps + 1),
         hits, new(*hits.shape), new(count * wanted.rewards, steps), new(count, kind=torch.int64).fill_(steps),
     )  # fmt: skip
-    words = packed(ended, dt, repeat, values, states, torques, *played[1:]).to(states.device)
+    words = words_of_call(ended, dt, repeat, values, states, torques, *played[1:]).to(states.device)
     launch(words.data_ptr(), count)
     return played
 
 
-def packed(*fields: torch.Tensor | float) -> torch.Tensor:
+def words_of_call(*fields: torch.Tensor | float) -> torch.Tensor:
     """A call's fields as compiled code reads them: words of 64 bits, eight to twelve of each array."""
     words = list[int]()
     for field in fields:

@@ -15,7 +15,7 @@ from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.geometry import FARTHEST
 from jackbox_env.exact.score import state_in, task_over, task_terms
 from jackbox_env.exact.step import CONSTANT, Pieces, make_parameters, step
-from jackbox_env.exact.workspace import Status, Workspace, Workspaces, make_numbers, new_log, new_workspaces
+from jackbox_env.exact.workspace import Status, Workspace, Workspaces, new_log, new_workspaces, scene_at
 from jackbox_env.jit.compiler import numbers_in, unpacked_as
 from jackbox_env.model.mechanics import energy_of, twice_kinetic
 from jackbox_env.model.scene import SceneNumbers
@@ -30,6 +30,7 @@ from jackbox_env.model.states import (
     VY_JACK,
     Array,
     Counts,
+    copy_numbers,
     total,
 )
 
@@ -82,11 +83,10 @@ def play(address: Any, workspaces: Workspaces, scratch: Array, log: Array, row: 
     call, memory = call_at(address), workspaces[0]
     if call.ended[row] != Status.DONE.value:
         return
-    scene = make_numbers(call.values[row if call.values.shape[0] > 1 else 0])
+    scene = scene_at(call.values, row)
     here, there, over = scratch[:12], scratch[12:24], False
     memory.held.holding = memory.held.released = 0
-    for column in range(12):
-        here[column] = call.states[row, column]
+    copy_numbers(12, call.states[row], here)
     record(call, scene, here, row, 0)
     for k in range(call.torques.shape[1] * call.repeat):
         ended, torque = advanced(scene, memory, scratch, log, call.torques[row, k // call.repeat], call.dt)
@@ -104,11 +104,9 @@ def play(address: Any, workspaces: Workspaces, scratch: Array, log: Array, row: 
             return
         if call.hits.shape[0]:
             call.hits[row, k], call.impulses[row, k] = memory.hits, memory.impulse
-        for column in range(12):
-            here[column] = there[column]
+        copy_numbers(12, there, here)
         record(call, scene, here, row, k + 1)
-    for column in range(12):
-        call.last[row, column] = here[column]
+    copy_numbers(12, here, call.last[row])
 
 
 def advanced(
@@ -133,8 +131,7 @@ def farthest_angle(scene: SceneNumbers, state: Array, torque: float, dt: float) 
 def record(call: CardCall, scene: SceneNumbers, state: Array, row: int, index: int) -> None:
     """Record a state and its energy, if they are wanted."""
     if call.trajectories.shape[0]:
-        for column in range(12):
-            call.trajectories[row, index, column] = state[column]
+        copy_numbers(12, state, call.trajectories[row, index])
     if call.energies.shape[0]:
         call.energies[row, index] = energy_of(scene, state)
 
@@ -159,6 +156,6 @@ def never_reached(_angle: float) -> tuple[float, float]:
 
 
 SUBSTITUTES: dict[str, Any] = {
-    "advance_resting": left_to_cpu, "advance_chirp": left_to_cpu, "advance_pieces": left_to_cpu,
+    "advance_resting": left_to_cpu, "advance_pieces": left_to_cpu,
     "bounce_several": bounce_several, "c_library_cos_sin": never_reached,
 }  # fmt: skip

@@ -180,7 +180,7 @@ class Repeat(NamedTuple):
     """The duration of an action."""
 
     steps: int  # control steps, at most
-    max_contact_steps: int  # after which an impact ends it in any case, see landing.is_over; 0: no impact ends it
+    max_contact_steps: int  # after which an impact ends it in any case, see landing.ends_decision; 0: no impact ends it
 
 
 def repeat_of(action_repeat: Repeats, control_dt: float) -> Repeat:

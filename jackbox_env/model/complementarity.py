@@ -23,7 +23,7 @@ import math
 from typing import Any
 
 from jackbox_env.model.scene import SceneNumbers
-from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array
+from jackbox_env.model.states import THETA_BOX, THETA_JACK, Array, add_numbers, copy_numbers
 
 _DEPENDENT = 1e-13  # length of a unit row's part orthogonal to the others: below it, the row depends on them
 
@@ -71,8 +71,7 @@ def nearest(contacts: Any, count: int) -> tuple[int, int, int]:
                 if violation < least:
                     least = violation
                     one, two, three = k, i if size > 1 else -1, j if size > 2 else -1
-                    for index in range(3):
-                        contacts.best[index] = contacts.multipliers[index]
+                    copy_numbers(3, contacts.multipliers, contacts.best)
     return one, two, three
 
 
@@ -99,18 +98,15 @@ def project(contacts: Any, size: int, one: int, two: int, three: int) -> bool:
     Returns whether the rows are independent. By modified Gram-Schmidt, rows = triangle^T basis.
     """
     point, multipliers = contacts.projected, contacts.multipliers
-    for index in range(6):
-        point[index] = contacts.rates[index]
+    copy_numbers(6, contacts.rates, point)
     for a in range(size):
         picked = one if a == 0 else two if a == 1 else three
-        for index in range(6):
-            contacts.basis[a, index] = contacts.units[picked, index]
+        copy_numbers(6, contacts.units[picked], contacts.basis[a])
         for turn in range(2):  # twice is enough to be orthogonal to rounding (Giraud et al. 2005)
             for b in range(a):
                 share = dot(contacts.basis[b], contacts.basis[a])
                 contacts.triangle[b, a] = share if turn == 0 else contacts.triangle[b, a] + share
-                for index in range(6):
-                    contacts.basis[a, index] -= share * contacts.basis[b, index]
+                add_numbers(6, contacts.basis[a], -share, contacts.basis[b])
         length = math.sqrt(dot(contacts.basis[a], contacts.basis[a]))
         if length < _DEPENDENT:
             return False
@@ -122,8 +118,7 @@ def project(contacts: Any, size: int, one: int, two: int, three: int) -> bool:
             goal += contacts.triangle[b, a] * contacts.goals[b]
         contacts.goals[a] = 0.0 - goal / length
         multipliers[a] = -(dot(contacts.basis[a], point) - contacts.goals[a])
-        for index in range(6):
-            point[index] += multipliers[a] * contacts.basis[a, index]
+        add_numbers(6, point, multipliers[a], contacts.basis[a])
     for a in range(size - 1, -1, -1):
         for b in range(a + 1, size):
             multipliers[a] -= contacts.triangle[a, b] * multipliers[b]

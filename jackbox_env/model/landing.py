@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from jackbox_env.model.scene import Scene, SceneNumbers, remainder
-from jackbox_env.model.states import Array, State
+from jackbox_env.model.states import State
 
 QUARTER = 0.5 * math.pi
 LONGEST = 8.0  # [L / v0] a time to the landing is cut there: twice the flight from the floor at v0 up and back on Earth
@@ -92,9 +90,8 @@ def at_landing(scene: SceneNumbers, state: State) -> tuple[float, float, float]:
 
 
 def landing_features(
-    scene: SceneNumbers, state: State, time: float, angle: float, cosine_4: float, sine_4: float, cosine_8: float,
-    sine_8: float, cosine_world: float, sine_world: float,
-) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
+    scene: SceneNumbers, state: State, time: float, angle: float, cosines: tuple[float, ...]
+) -> tuple[float, ...]:
     """The numbers of ``FEATURES``, within ``FEATURE_BOUNDS``: the box moves and turns at its present rates.
 
     Args:
@@ -102,14 +99,14 @@ def landing_features(
         state: now.
         time: to the landing [s].
         angle: theta_box less whole turns [rad].
-        cosine_4: of the angles of :func:`at_landing`; the others follow in the order of ``FEATURES``.
+        cosines: and sines of the angles of :func:`at_landing`, six in the order of ``FEATURES``.
     """
     length, speed = scene.box_half_width, scene.speed_scale
     beside = (state.x_jack - state.x_box + (state.vx_jack - state.vx_box) * time) / length
     fall = (scene.gravity * time - (state.vy_jack - state.vy_box)) / speed
     return (
         clipped(0.5 * time * speed / length, 0.5 * LONGEST),
-        cosine_4, sine_4, cosine_8, sine_8, cosine_world, sine_world,
+        *cosines,
         clipped(beside, 2.0),
         clipped(fall, 10.0),
         clipped(state.omega_jack * time / QUARTER, 10.0),
@@ -122,7 +119,7 @@ def clipped(value: float, bound: float) -> float:
     return bound if value > bound else -bound if value < -bound else value
 
 
-def is_over(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> Any:
+def ends_decision(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> Any:
     """Whether an impact ends a decision after so many steps; of one decision, or of arrays.
 
     Args:
@@ -133,9 +130,3 @@ def is_over(steps: Any, separated: Any, struck: Any, max_contact_steps: int) -> 
             ends it.
     """
     return struck & (max_contact_steps > 0) & (separated | (steps >= max_contact_steps))
-
-
-def torques(scene: Scene, states: Array, targets: Array, duration: float) -> Array:
-    """:func:`aim` from states, shape (n, 12), at angles [rad] and rates [rad/s], shape (n, 2): shape (n,)."""
-    rows = zip(states.tolist(), targets.tolist(), strict=True)
-    return np.array([aim(scene, State(*row), angle, rate, duration) for row, (angle, rate) in rows])

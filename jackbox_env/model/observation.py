@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from jackbox_env.model.landing import FEATURE_BOUNDS, FEATURES, at_landing, clipped, landing_features
 from jackbox_env.model.pixels import Pixels, pixels_named
 from jackbox_env.model.scene import Scene, SceneNumbers
-from jackbox_env.model.states import Array, Floats, Numbers, State
+from jackbox_env.model.states import Floats, Numbers, State
 from jackbox_env.model.tasks import TaskError
 from jackbox_env.tools import checks as check
 
@@ -82,10 +82,8 @@ class Observation:
         return low, high
 
 
-def observe(
-    scene: Scene, state: Sequence[float], time: float = 0.0, observation: Observation | None = None
-) -> NDArray[np.float32]:
-    """Return the observation of a state of 12 numbers, in plain Python: a fresh float32 array; None: the ten numbers.
+def observe(scene: SceneNumbers, state: State, time: float, observation: Observation) -> NDArray[np.float32]:
+    """Return the observation of a state in plain Python: a fresh float32 array.
 
     The C library's cosines differ between machines in the last place of float64, which float32 hides all but once in
     1e12 numbers.
@@ -94,11 +92,6 @@ def observe(
         TypeError: a user's function returns something else than a number for each name.
         TaskError: a number is NaN.
     """
-    return observe_named(scene.numbers, State(*state), time, STATE if observation is None else observation)
-
-
-def observe_named(scene: SceneNumbers, state: State, time: float, observation: Observation) -> NDArray[np.float32]:
-    """The observation of :func:`observe`, of a scene's numbers and a state's."""
     values = observation.values(scene, state, time)
     if observation in OBSERVATIONS.values():
         return np.array(values, dtype=np.float32)
@@ -117,18 +110,29 @@ def bad_observation(observation: Observation, values: Sequence[float]) -> TaskEr
     return TaskError(f"the observation must be numbers, got NaN for {', '.join(map(repr, names))}")
 
 
+def cosine_and_sine(angle: float) -> tuple[float, float]:
+    """The C library's cosine and sine. Compiled code has its own, see ``exact/score.py``."""
+    return math.cos(angle), math.sin(angle)
+
+
+def less_turns(angle: float) -> float:
+    """An angle [rad] less whole turns, by the C library; as above."""
+    return math.remainder(angle, math.tau)
+
+
 def state_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """The ten numbers, with the C library's cosines."""
-    angle, relative = state.theta_box, 4.0 * (state.theta_jack - state.theta_box)
-    return components(scene, state, math.cos(angle), math.sin(angle), math.cos(relative), math.sin(relative))
+    """The ten numbers."""
+    cosine, sine = cosine_and_sine(state.theta_box)
+    cosine_4, sine_4 = cosine_and_sine(4.0 * (state.theta_jack - state.theta_box))
+    return components(scene, state, cosine, sine, cosine_4, sine_4)
 
 
 def landing_values(scene: SceneNumbers, state: State, time: float) -> tuple[float, ...]:
-    """The ten numbers and the landing features, with the C library's cosines."""
+    """The ten numbers and the landing features."""
     duration, relative, world = at_landing(scene, state)
-    cosine, sine, turned = math.cos(relative), math.sin(relative), math.remainder(state.theta_box, math.tau)
-    angles = cosine, sine, math.cos(2.0 * relative), math.sin(2.0 * relative), math.cos(world), math.sin(world)
-    return state_values(scene, state, time) + landing_features(scene, state, duration, turned, *angles)
+    angles = *cosine_and_sine(relative), *cosine_and_sine(2.0 * relative), *cosine_and_sine(world)
+    features = landing_features(scene, state, duration, less_turns(state.theta_box), angles)
+    return state_values(scene, state, time) + features
 
 
 def components(
@@ -152,22 +156,6 @@ def components(
         sine_4,
         clipped(state[11] * scene.jack_arm * per_speed, 10.0),
     )
-
-
-def state_of(scene: Scene, observation: Sequence[float]) -> Array:
-    """Return a state, shape (12,), with this observation: the box at the origin, its centre at rest.
-
-    Only the motion relative to the box's centre is observed, which without side forces depends on nothing else.
-    """
-    x, y, vx, vy, cosine, sine, omega, cosine_4, sine_4, jack_omega = observation
-    length, speed, angle = scene.box_half_width, scene.speed_scale, math.atan2(sine, cosine)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([
-        0.0, 0.0, angle,
-        length * (c * x - s * y), length * (s * x + c * y), angle + 0.25 * math.atan2(sine_4, cosine_4),
-        0.0, 0.0, omega * speed / length,
-        speed * (c * vx - s * vy), speed * (s * vx + c * vy), jack_omega * speed / scene.jack_arm,
-    ])  # fmt: skip
 
 
 STATE = Observation(NAMES, -BOUNDS, BOUNDS, state_values)

@@ -14,6 +14,7 @@ from jackbox_env.model.states import Array
 from jackbox_env.tools import checks as check
 
 NUMBERS = tuple(part.name for part in fields(Scene) if part.name in SceneNumbers._fields)  # that have a range
+Randomize = Mapping[str, tuple[float, float]] | Callable[[np.random.Generator], Mapping[str, Any]] | None
 _INERTIAS = ("box_inertia", "jack_inertia")
 
 

@@ -177,6 +177,18 @@ def _located(scene: Scene, state: ArrayLike) -> tuple[Array, float]:
     return array, -clearance(scene, values)
 
 
+def copy_numbers(count: int, source: Numbers, into: Array | Floats) -> None:
+    """Copy the first ``count`` numbers."""
+    for index in range(count):
+        into[index] = source[index]
+
+
+def add_numbers(count: int, into: Array, share: float, others: Array) -> None:
+    """Add ``share`` times the first ``count`` of other numbers."""
+    for index in range(count):
+        into[index] += share * others[index]
+
+
 def total(values: Sequence[float]) -> float:
     """Sum in the order given, as in compiled code; Python's own ``sum`` rounds otherwise."""
     result = 0.0

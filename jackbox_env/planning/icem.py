@@ -41,13 +41,6 @@ class Plans(NamedTuple):
         return Plans(*parts)
 
 
-class Decision(NamedTuple):
-    """The best plans of a decision, for n jacks."""
-
-    plans: Array  # (n, knots) torques in units of the limit
-    returns: Array  # (n,) their sums of rewards
-
-
 class PlanSearch:
     """Improves plans by iCEM.
 
@@ -88,13 +81,16 @@ class PlanSearch:
         elites = np.zeros((count, self.reused, self.knots))
         return Plans(np.zeros((count, self.knots)), elites, np.zeros(count, dtype=np.int64))
 
-    def decide(self, scene: Scene, states: Array, plans: Plans) -> tuple[Decision, Plans]:
-        """Improve plans from states, shape (n, 12); return the best plans, and the plans one knot later.
+    def decide(self, scene: Scene, states: Array, plans: Plans) -> tuple[Array, Array, Plans]:
+        """Improve plans from states.
 
         Args:
             scene: of all.
             states: shape (n, 12).
             plans: the last ones, of n jacks.
+
+        Returns:
+            The best torques over the limit, (n, knots), their sums of rewards, (n,), and the plans one knot later.
         """
         count = len(states)
         means, elites, spreads = plans.means, plans.elites, np.full((count, self.knots), _SPREAD)
@@ -108,8 +104,6 @@ class PlanSearch:
             elites = best[:, : self.reused]
             means = (1.0 - _SMOOTHING) * best.mean(axis=1) + _SMOOTHING * means
             spreads = (1.0 - _SMOOTHING) * best.std(axis=1) + _SMOOTHING * spreads
-        first, rows = order[:, 0], np.arange(count)
-        decision = Decision(best[:, 0], returns[rows, first])
         last = np.zeros((count, 1))
         new = self._noise(plans.decisions, self.iterations)[:, : self.reused, :1] * 0.5 * _SPREAD
         next_plans = Plans(
@@ -117,7 +111,7 @@ class PlanSearch:
             np.clip(np.concatenate([elites[:, :, 1:], new], axis=2), -1.0, 1.0),
             plans.decisions + 1,
         )
-        return decision, next_plans
+        return best[:, 0], returns.max(axis=1), next_plans
 
     def _noise(self, decisions: NDArray[np.int64], iteration: int) -> Array:
         """Noise of the candidates, shape (n, samples, knots): the same after the same number of decisions."""

@@ -109,14 +109,6 @@ def rollout(
 @overload
 def rollout(
     scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
-    *, energy: bool = False, impacts: bool = False, rewards: None = None, repeat: int = 1,
-    trajectories: Literal[False], num_threads: int | None = None, device: str | None = None,
-) -> Rollout[None, None]: ...  # fmt: skip
-
-
-@overload
-def rollout(
-    scene: OneOrMore, states: ArrayLike, torques: ArrayLike, dt: float, time: float = 0.0,
     *, energy: bool = False, impacts: bool = False, rewards: str | Task | None = None, repeat: int = 1,
     trajectories: bool = True, num_threads: int | None = None, device: str | None = None,
 ) -> Array | Rollout[Array | None, Counts | None]: ...  # fmt: skip
@@ -372,7 +364,7 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
         raise ValueError(f"states must have as many rows as torques, got {len(starts)} and {len(held)}")
     if not np.isfinite(held).all():
         raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
-    counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or ([len(scenes)] if several else [1])
+    counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or [len(scenes)]
     count = counts[0]
     if several and len(scenes) != count:
         raise ValueError(f"scene must be one scene or a list of {count}, as many as rows, got {len(scenes)} of them")

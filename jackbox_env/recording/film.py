@@ -39,16 +39,13 @@ def check_film(path: Path) -> None:
         import imageio_ffmpeg  # type: ignore[import-untyped]  # noqa: F401
 
 
-def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
-    """Write a motion as a film of 25 frames per second to a new file that :func:`check_film` accepts.
-
-    A bar is shown if ``progress``.
-    """
+def film_motion(motion: Motion, path: Path) -> None:
+    """Write a motion as a film of 25 frames per second to a new file that :func:`check_film` accepts, with a bar."""
     samples, renderer = samples_of(motion), Renderer(motion.scene, "rgb_array", 1.0 / _SPACING, size=(SIZE, SIZE))
     renderer.reset(motion.states[0], float(motion.t[0]))
     moments = np.arange(motion.t[0], motion.t[-1] + 0.5 * _SPACING, _SPACING)
     hits, frames, shown = motion.hits, list[Frame](), 0
-    with bar(len(moments), progress, "frame") as moving:
+    with bar(len(moments), True, "frame") as moving:
         for moment in moments:
             index = int(np.searchsorted(samples.times, moment + 1e-9, "right")) - 1
             count = int(np.searchsorted(motion.impacts["time"], samples.times[index], "right"))
@@ -59,7 +56,6 @@ def film_motion(motion: Motion, path: Path, progress: bool = False) -> Path:
             moving.update(1)
     renderer.close()
     write_film(frames, path, 1.0 / _SPACING)
-    return path
 
 
 def write_film(frames: list[Frame], path: Path, fps: float) -> None:

@@ -30,7 +30,6 @@ _ROOM = 64  # rows of feet at rest in a step
 ONLY_EXACT = "between them and at impacts there are states with fidelity='exact'"
 
 Impacts = NDArray[Any]  # structured
-Torques = Array | float | None  # of each step, or of any step [N m]; None: the scene's drive acts
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,7 @@ class Record:
         rest: duration of the last step if it is shorter [s], else 0.
         times: at the ends of steps, the start first [s], shape (n + 1,).
         states: SI units, shape (n + 1, 12).
-        torques: constant in each step [N m]: n of them or more, or one for any number of steps; None: the scene's
-            drive acts.
+        torques: constant in each step [N m], n of them or more; None: the scene's drive acts.
         impacts: structured, shape (m,), in time order; without the states of ``JUMP`` if the contact model has none.
         steps: in which each impact is, shape (m,).
         held: number of feet at rest before each impact in its step, -1 for the impulse of a foot at rest; shape (m,).
@@ -56,7 +54,7 @@ class Record:
     rest: float
     times: Array
     states: Array
-    torques: Torques
+    torques: Array | None
     impacts: Impacts
     steps: Counts
     held: Counts
@@ -69,9 +67,7 @@ class Record:
 
     def torques_in(self, steps: Counts) -> Array | None:
         """The torque in each of some steps [N m]; None: the scene's drive acts."""
-        if isinstance(self.torques, np.ndarray):
-            return self.torques[steps]
-        return None if self.torques is None else np.full(len(steps), self.torques)
+        return None if self.torques is None else self.torques[steps]
 
     def same_impact(self) -> Flags:
         """Whether the foot of each row of ``impacts`` strikes together with that of the row before."""

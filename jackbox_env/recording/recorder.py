@@ -32,8 +32,8 @@ from jackbox_env.jit.compiler import compiled
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
 from jackbox_env.recording.events import Event
-from jackbox_env.recording.record import IMPACT, JUMP, Record, Torques, slack_of
-from jackbox_env.simulators import Impact, JackLostError, Simulator
+from jackbox_env.recording.record import IMPACT, JUMP, Record, slack_of
+from jackbox_env.simulators import JackLostError, Simulator, StepResult
 from jackbox_env.simulators.exact import (
     NO_PIECES,
     WITH_PIECES,
@@ -43,6 +43,7 @@ from jackbox_env.simulators.exact import (
     joined,
     pieces_for,
 )
+from jackbox_env.simulators.plain_functions import ControlStep
 from jackbox_env.tools.command_line import bar
 
 MOST_STEPS = 10_000_000  # some 2 GB
@@ -115,54 +116,46 @@ def stepping_advance(simulator: Simulator) -> Advance:
     """Simulation by the steps of any simulator from its present state on."""
 
     def advance(state: Array, time: float, dt: float, steps: int, torques: Array | None) -> Record:
-        recorder = Recorder(simulator.scene, dt, state, time, driven=torques is None)
-        for step in range(steps):
-            try:
-                recorder.add(*simulator.step(dt, None if torques is None else float(torques[step])))
-            except JackLostError as error:
-                return recorder.record(error)
-        return recorder.record()
+        results, failure = list[StepResult](), None
+        try:
+            for step in range(steps):
+                results.append(simulator.step(dt, None if torques is None else float(torques[step])))
+        except JackLostError as error:
+            failure = error
+        return stepped_record(simulator.scene, dt, state, time, results, torques is None, failure)
 
     return advance
 
 
-class Recorder:
-    """Collects control steps.
+def stepped_record(
+    scene: Scene, dt: float, state: Array, time: float, steps: Sequence[StepResult | ControlStep], driven: bool,
+    failure: Exception | None = None,
+) -> Record:  # fmt: skip
+    """The record of control steps of any simulator from a state, shape (12,), and a time [s].
 
     Args:
         scene: the scene.
         dt: duration of a step [s].
-        state: at the start, shape (12,), SI units.
+        state: at the start, SI units.
         time: at the start [s].
-        driven: whether the torques are the scene's drive's.
+        steps: that followed.
+        driven: whether their torques are the drive's.
+        failure: the error that ended them early.
     """
-
-    def __init__(self, scene: Scene, dt: float, state: Array, time: float, driven: bool = True) -> None:
-        self._scene, self._dt, self._times, self._states, self._driven = scene, dt, [time], [state], driven
-        self._torques, self._impacts, self._steps = list[float](), list[Impact](), list[int]()
-
-    def add(self, state: Array, time: float, torque: float, impacts: Sequence[Impact]) -> None:
-        """Record a step: state and time [s] at its end, its mean torque [N m], its impacts."""
-        self._steps += [len(self._torques)] * len(impacts)
-        self._times.append(time)
-        self._states.append(state)
-        self._torques.append(torque)
-        self._impacts += impacts
-
-    def record(self, failure: Exception | None = None) -> Record:
-        """The steps so far."""
-        impacts, steps = np.array(list(map(tuple, self._impacts)), IMPACT), np.array(self._steps, np.int64)
-        return Record(
-            self._scene, self._dt, 0.0, np.array(self._times), np.array(self._states),
-            None if self._driven else np.array(self._torques), impacts, steps, np.zeros(len(steps), np.int64), failure,
-        )  # fmt: skip
+    impacts = np.array([tuple(impact) for step in steps for impact in step.impacts], IMPACT)
+    in_step = np.repeat(np.arange(len(steps)), np.array([len(step.impacts) for step in steps], np.int64))
+    times, states = [time, *(step.time for step in steps)], [state, *(step.state for step in steps)]
+    torques = None if driven else np.array([step.torque for step in steps])
+    held = np.zeros(len(in_step), np.int64)
+    return Record(scene, dt, 0.0, np.array(times), np.array(states), torques, impacts, in_step, held, failure)
 
 
-def joined_records(parts: Sequence[Record], dt: float, rest: float, torques: Torques) -> Record:
-    """The record of successive parts; ``torques`` are of all steps, or more."""
+def joined_records(parts: Sequence[Record], dt: float, rest: float) -> Record:
+    """The record of successive parts."""
     offsets = np.cumsum([0, *(len(part.times) - 1 for part in parts)])
+    torques = [part.torques for part in parts if part.torques is not None]
     return replace(
-        parts[-1], dt=dt, rest=rest, torques=torques,
+        parts[-1], dt=dt, rest=rest, torques=np.concatenate(torques) if torques else None,
         times=np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)]),
         states=np.concatenate([parts[0].states[:1], *(part.states[1:] for part in parts)]),
         impacts=np.concatenate([part.impacts for part in parts]),
@@ -187,25 +180,24 @@ def steps_of(duration: float, dt: float) -> tuple[int, float]:
 
 def run_record(
     advance: Advance, state: Array, time: float, dt: float, steps: tuple[int, float],
-    torques: Torques | Controller, event: Event | None = None, progress: bool = False,
+    torques: Array | Controller | None, event: Event | None = None, progress: bool = False,
 ) -> tuple[Record, float]:  # fmt: skip
     """Advance step by step until the end, an event or a failure; return the record and the time of the event [s].
 
     Steps after an event may have been made; a failure in one of them is none.
     """
     whole, rest = steps
-    parts, applied, done, end = list[Record](), list[float](), 0, None
+    parts, done, end = list[Record](), 0, None
     size = 1 if callable(torques) else whole if event is None and not progress else _CHUNK
     largest = 1 if callable(torques) else max(_CHUNK, whole // 100) if progress else whole
     with bar(whole, progress) as moving:
         while end is None and (done < whole or (rest > 0.0 and done == whole)):
             length, count = (dt, min(size, whole - done)) if done < whole else (rest, 1)
             if callable(torques):
-                applied.append(torques(time, state))
-                held: Torques = applied[-1]
+                held: Array | None = np.array([torques(time, state)])
             else:
-                held = torques[done : done + count] if isinstance(torques, np.ndarray) else torques
-            part = advance(state, time, length, count, None if held is None else np.broadcast_to(held, count))
+                held = None if torques is None else torques[done : done + count]
+            part = advance(state, time, length, count, held)
             parts.append(part)
             state, time, done, size = part.states[-1], float(part.times[-1]), done + count, min(2 * size, largest)
             moving.update(count)
@@ -213,9 +205,7 @@ def run_record(
                 end = event(part)
             if part.failure is not None:
                 break
-    record = joined_records(
-        parts, dt, rest if done > whole else 0.0, np.array(applied) if callable(torques) else torques
-    )
+    record = joined_records(parts, dt, rest if done > whole else 0.0)
     return (record, math.inf) if end is None else (replace(record, failure=None), end)
 
 
@@ -227,7 +217,7 @@ def restarted(record: Record, row: int) -> Record:
     """
     step = int(record.steps[row])
     steps = (len(record.times) - 1 - step - (record.rest > 0.0), record.rest)
-    torques = record.torques[step:] if isinstance(record.torques, np.ndarray) else record.torques
+    torques = None if record.torques is None else record.torques[step:]
     advance, start = exact_advance(record.scene), float(record.times[step])
     again, _ = run_record(advance, record.states[step], start, record.dt, steps, torques)
     if again.failure is not None:

@@ -14,7 +14,6 @@ from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import LATEST_TIME, Array, State, as_restored, by_names
 from jackbox_env.recording.events import Event, event_of
 from jackbox_env.recording.motion import Motion
-from jackbox_env.recording.record import Torques
 from jackbox_env.recording.recorder import Controller, exact_advance, run_record, stepping_advance, steps_of
 from jackbox_env.simulators import make_simulator
 from jackbox_env.simulators.base import end_of_step
@@ -81,7 +80,7 @@ def simulate(
     event = event_of(until)
     if event is not None and setting.contact != EXACT:
         raise ValueError(f"until needs fidelity='exact', got {check.shown(until)} with fidelity={fidelity!r}")
-    torques: Torques | Controller = None
+    torques: Array | Controller | None = None
     if callable(torque) and _is_controller(torque):
         torques = _checked(torque)
     elif callable(torque):
@@ -113,13 +112,13 @@ def _checked(function: Callable[[float, State], float]) -> Controller:
     return lambda time, state: check.real(f"torque({time:g} s, state)", function(time, State(*state.tolist())))
 
 
-def _torques(torque: Any, steps: tuple[int, float]) -> Array | float:
-    """The torque of each step [N m], or of any step."""
+def _torques(torque: Any, steps: tuple[int, float]) -> Array:
+    """The torque of each step [N m]."""
     count = steps[0] + (steps[1] > 0.0)
     requirement = f"be a number, a function of time or one number for each of {count} steps"
     torques = check.array("torque", torque, requirement).astype(np.float64)
     if torques.ndim == 0:
-        return check.real("torque", torque)
+        return np.broadcast_to(check.real("torque", torque), count)
     if torques.shape != (count,):
         raise ValueError(f"torque must {requirement}, got shape {torques.shape}")
     if not np.isfinite(torques).all():
@@ -129,11 +128,11 @@ def _torques(torque: Any, steps: tuple[int, float]) -> Array | float:
 
 def recorded(
     scene: Scene, setting: Setting, state: ArrayLike | Mapping[str, float], time: float, duration: float, dt: float,
-    torques: Torques | Controller, event: Event | None = None, progress: bool = False,
+    torques: Array | Controller | None, event: Event | None = None, progress: bool = False,
 ) -> Motion:  # fmt: skip
     """:func:`simulate` by any contact model; an error in a step ends the motion early.
 
-    ``torques`` has one for each step at least, or is that of any step [N m], or returns it; ``progress`` shows a bar.
+    ``torques`` has one for each step at least [N m], or returns it; ``progress`` shows a bar.
     The other arguments of numbers but state and time have been checked.
     """
     state = as_restored(scene, by_names(state) if isinstance(state, Mapping) else state)

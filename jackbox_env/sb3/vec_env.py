@@ -141,17 +141,11 @@ class JackInBoxVecEnv(VecEnv):
 
     def _full_rows(self, infos: dict[str, Any], ended: list[int]) -> list[dict[str, Any]]:
         """The info of each environment's step; those of new starts go to ``reset_infos``."""
-        if ended:
-            started = self._rows(_some(infos, ended))
-            for number, row in zip(ended, started, strict=True):
-                self.reset_infos[number] = row
-            for name, values in infos["final_info"].items():
-                if name == "scene":
-                    for field, drawn in values.items():
-                        infos[name][field][ended] = drawn[ended]
-                elif not name.startswith("_"):
-                    infos[name][ended] = values[ended]
-        return self._rows(infos)
+        rows = self._rows(infos)
+        last = self._rows(_some(infos["final_info"], ended)) if ended else []
+        for number, row in zip(ended, last, strict=True):
+            self.reset_infos[number], rows[number] = rows[number], row
+        return rows
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Infos of arrays as a list with one info for each environment."""
@@ -268,9 +262,7 @@ class EnvView(Settings):
 def _some(infos: dict[str, Any], numbers: list[int]) -> dict[str, Any]:
     """Infos of some environments, nested ones too."""
     return {
-        name: _some(values, numbers) if isinstance(values, dict) else values[numbers]
-        for name, values in infos.items()
-        if not name.startswith("final_")
+        name: _some(values, numbers) if isinstance(values, dict) else values[numbers] for name, values in infos.items()
     }
 
 

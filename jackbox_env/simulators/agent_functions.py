@@ -50,7 +50,7 @@ class CompiledFunctions(Functions):
             reports=np.zeros((1, score.TERMS + len(task.terms))),
         )  # fmt: skip
         self._observation, self._report = results.observations[0], results.reports[0]
-        self._reward, self._over = results.rewards[0].data, results.terminations.data
+        self._reward, self._terminated = results.rewards[0].data, results.terminations.data
         addresses = address_of(scorer, score.block_scorer), address_of(observer, score.block_observer)
         self._scorings = [
             Scoring(*addresses, results._replace(observations=results.observations[:wanted]), self._refuse)
@@ -62,13 +62,13 @@ class CompiledFunctions(Functions):
 
     @override
     def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, observed: bool) -> ControlStep:
-        self._over[0] = False
+        self._terminated[0] = False
         stored, time, mean, impacts = simulator.step_checked(dt, torque, self._scorings[observed])
         _, _, impulse, *terms = self._report.tolist()
         observation = self._observation.copy() if observed else NO_OBSERVATION
         return new_step(
             ControlStep,
-            (np.array(stored), time, mean, impacts, impulse, terms, self._reward[0], self._over[0], observation),
+            (np.array(stored), time, mean, impacts, impulse, terms, self._reward[0], self._terminated[0], observation),
         )
 
     def _refuse(self, ended: int) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from _thread import get_ident
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored, total
+from jackbox_env.model.states import LATEST_TIME, Array, Numbers, as_restored
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.one_thread import ThreadNote, in_use
 
@@ -56,11 +55,6 @@ def end_of_step(time: float, dt: float) -> float:
     return end
 
 
-def total_impulse(impacts: Sequence[Impact]) -> float:
-    """Sum of the impulses [N s], added in order as the compiled code does."""
-    return total([impact.impulse for impact in impacts])
-
-
 class StepResult(NamedTuple):
     """The result of a step of a simulator, a named tuple.
 
@@ -100,11 +94,12 @@ class Simulator(ABC):
     room: ClassVar[int]  # [bytes] of memory of one environment, about
     compiled: ClassVar[bool] = False  # whether rewards and observations are computed in compiled code, by its steps
 
-    def __init__(self, scene: Scene, **settings: Any) -> None:
+    def __init__(self, scene: Scene) -> None:
         """Start at rest in the middle of the box, each foot facing a corner."""
         self.scene, self._inside = scene, ThreadNote()
         # The state and the results of the last step: assigned together, so that an interrupt cannot separate them.
         self._present = StepResult(self._as_stored(np.array([0.0] * 5 + [math.pi / 4.0] + [0.0] * 6)), 0.0)
+        self._build_unpickled()
 
     @property
     def state(self) -> Array:
@@ -203,7 +198,7 @@ class Simulator(ABC):
         """
 
     def _build_unpickled(self) -> None:  # noqa: B027  # some have nothing to build
-        """Build the parts that are not pickled."""
+        """Build the parts that are not pickled, from the scene and the settings."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("scene", *self.settings, "_present")}

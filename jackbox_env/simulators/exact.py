@@ -152,8 +152,7 @@ def ensure_compiled(lossy: bool = False) -> None:
 
     Feet at rest are included if a scene is ``lossy``.
     """
-    simulator = ExactSimulator(Scene())
-    simulator.step(0.02, 0.0)
+    ExactSimulator(Scene()).step(0.02, 0.0)
     if lossy:
         with_all(new_workspaces())
 
@@ -177,11 +176,6 @@ class ExactSimulator(Simulator):
     room = 500
     compiled = True
     _states: Sequence[Array] = ()
-
-    def __init__(self, scene: Scene) -> None:
-        """Start at rest in the middle of the box, each foot facing a corner."""
-        super().__init__(scene)
-        self._build_unpickled()
 
     @override
     def stepped(self, dt: float, torque: float | None, scoring: Scoring = UNSCORED) -> StepResult:

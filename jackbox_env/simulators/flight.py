@@ -47,7 +47,7 @@ def reach(scene: Scene, state: list[float], dt: float, torque_bound: float, forc
     return dt * (speed + (abs(state[OMEGA_BOX]) + spun_up) * distance + scene.jack_arm * spin)
 
 
-def fly(
+def after_flight(
     scene: Scene,
     state: list[float],
     dt: float,
@@ -67,7 +67,7 @@ def fly(
         (falling_x, rising_x), (falling_y, rising_y) = pushes
         pushed = 0.5 * dt / scene.box_mass
         x, y = x + pushed * falling_x * dt, y + pushed * falling_y * dt
-        after = fly(scene, [x, y, *state[2:]], dt, falling, rising)
+        after = after_flight(scene, [x, y, *state[2:]], dt, falling, rising)
         after[VX_BOX] += pushed * (falling_x + rising_x)
         after[VY_BOX] += pushed * (falling_y + rising_y)
         return after

@@ -17,14 +17,13 @@ from jackbox_env.model.observation import (
     OBSERVATIONS,
     STATE,
     Observation,
-    observe_named,
+    observe,
 )
 from jackbox_env.model.pixels import Pixels
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import Array, State
+from jackbox_env.model.states import Array, State, total
 from jackbox_env.model.tasks import TASKS, Task, TaskError, checked_reward, checked_terms
 from jackbox_env.simulators import Impact, Simulator
-from jackbox_env.simulators.base import total_impulse
 from jackbox_env.tools import checks as check
 
 Observed = NDArray[Any]  # float32, or uint8 pictures
@@ -47,12 +46,11 @@ class Interface(NamedTuple):
     @property
     def builtin(self) -> bool:
         """Whether none of them has functions of a user, which may fail."""
-        return self.task in TASKS.values() and self.observation in OBSERVATIONS.values() and self.steady
-
-    @property
-    def steady(self) -> bool:
-        """Whether the action has no function of a user."""
-        return self.action in ACTIONS.values()
+        return (
+            self.task in TASKS.values()
+            and self.observation in OBSERVATIONS.values()
+            and self.action in ACTIONS.values()
+        )
 
     @property
     def space(self) -> gym.spaces.Box:
@@ -76,7 +74,7 @@ class ControlStep(NamedTuple):
     impulse: float  # [N s]
     terms: Sequence[float]  # of the reward
     reward: float
-    over: bool  # whether it terminates the episode
+    terminated: bool  # whether the task ends the episode
     observation: Observed  # at its end, or empty
 
 
@@ -138,11 +136,9 @@ class PlainFunctions(Functions):
     @override
     def step_and_score(self, simulator: Simulator, dt: float, torque: float | None, observed: bool) -> ControlStep:
         stored, time, mean, impacts = simulator.step_checked(dt, torque)
-        after, impulse = State(*stored), total_impulse(impacts) if impacts else 0.0
+        after, impulse = State(*stored), total([impact.impulse for impact in impacts]) if impacts else 0.0
         terms, over = self.score(after, mean, impulse)
-        observation = (
-            observe_named(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION
-        )
+        observation = observe(self._numbers, after, time, self.interface.observation) if observed else NO_OBSERVATION
         reward = checked_reward(self.interface.task, terms)
         return new_step(ControlStep, (np.array(stored), time, mean, impacts, impulse, terms, reward, over, observation))
 
@@ -165,7 +161,7 @@ class PlainFunctions(Functions):
 
     @override
     def observe(self, state: Array, time: float) -> Observed:
-        return observe_named(self._numbers, State(*state.tolist()), time, self.interface.observation)
+        return observe(self._numbers, State(*state.tolist()), time, self.interface.observation)
 
     @override
     def share(self, state: Array, action: Array, time: float, dt: float) -> float:

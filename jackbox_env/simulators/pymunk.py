@@ -69,7 +69,7 @@ from jackbox_env.model.states import (
 )
 from jackbox_env.simulators.base import JackLostError, Simulator, StepResult, end_of_step
 from jackbox_env.simulators.contacts import ContactRecorder, iterations_for
-from jackbox_env.simulators.flight import fly, reach
+from jackbox_env.simulators.flight import after_flight, reach
 from jackbox_env.simulators.replay import replayed
 from jackbox_env.tools import checks as check
 
@@ -120,6 +120,7 @@ class PymunkSimulator(Simulator):
     name = "pymunk"
     settings = ("substeps", "iterations")
     room = 130_000
+    _dirty: bool  # whether the engine may remember something that (state, time) does not determine
 
     def __init__(self, scene: Scene, substeps: int = 4, iterations: int | None = None) -> None:
         """Start at rest in the middle of the box, each foot facing a corner.
@@ -132,13 +133,11 @@ class PymunkSimulator(Simulator):
         Raises:
             TypeError, ValueError: substeps or iterations is no whole number in its range, or the scene needs too many.
         """
-        super().__init__(scene)
         self.substeps = check.whole("substeps", substeps, at_least=1, at_most=1_000_000)
         if iterations is None:
             iterations = iterations_for(scene)
         self.iterations = check.whole("iterations", iterations, at_least=1, at_most=1_000_000)
-        self._dirty = True  # whether the engine may remember something that (state, time) does not determine
-        self._build_unpickled()
+        super().__init__(scene)
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -150,7 +149,7 @@ class PymunkSimulator(Simulator):
             after, mean_torque = self._step_engine(dt, torque)
             return StepResult(after, end, mean_torque, tuple(self._recorder.impacts))
         falling, rising = self._drive.torque_means(time, dt) if torque is None else (torque, torque)
-        return StepResult(fly(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising))
+        return StepResult(after_flight(self.scene, state, dt, falling, rising), end, 0.5 * (falling + rising))
 
     @property
     def _numbers(self) -> list[float]:
@@ -330,20 +329,15 @@ class PymunkSimulator(Simulator):
         set_back = scene.box_half_width + thickness
         extent = scene.box_half_width + 2.0 * thickness  # past the corners
         directions = [pymunk.Vec2d(1, 0), pymunk.Vec2d(0, 1), pymunk.Vec2d(-1, 0), pymunk.Vec2d(0, -1)]
-        walls: list[pymunk.Shape] = []
+        shapes = list[pymunk.Shape]()
         for normal in directions:
             middle, end = normal * set_back, normal.perpendicular() * extent
-            wall = pymunk.Segment(box, middle - end, middle + end, thickness)
-            wall.elasticity = scene.restitution  # the engine multiplies both elasticities
-            walls.append(wall)
-        feet: list[pymunk.Shape] = []
-        for direction in directions:
-            foot = pymunk.Circle(jack, 0.0, direction * scene.jack_arm)
-            foot.elasticity = 1.0
-            feet.append(foot)
-        for number, shape in enumerate([*walls, *feet]):
+            shapes.append(pymunk.Segment(box, middle - end, middle + end, thickness))
+        shapes += [pymunk.Circle(jack, 0.0, direction * scene.jack_arm) for direction in directions]
+        for number, shape in enumerate(shapes):
             shape.collision_type = number
-        space.add(*walls, *feet)
+            shape.elasticity = scene.restitution if shape.body is box else 1.0  # the engine multiplies both
+        space.add(*shapes)
         recorder = ContactRecorder()
         space.on_collision(None, None, post_solve=recorder)
         self._space, self._box, self._jack, self._recorder = space, box, jack, recorder

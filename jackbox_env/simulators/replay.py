@@ -16,7 +16,7 @@ from jackbox_env.model.mechanics import gap_jacobian
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.model.states import OMEGA_BOX, RATES, VX_BOX, VY_BOX, Numbers, clearance
 from jackbox_env.simulators.base import Impact
-from jackbox_env.simulators.flight import fly
+from jackbox_env.simulators.flight import after_flight
 
 
 class Replay(NamedTuple):
@@ -33,7 +33,9 @@ def flown(scene: Scene, state: Sequence[float], time: float, duration: float, to
         return list(state)
     drive = scene.drive or Drive()
     falling, rising = drive.torque_means(time, duration) if torque is None else (torque, torque)
-    return fly(scene, list(state), duration, falling, rising, [means(time, duration) for means in drive.force_means])
+    return after_flight(
+        scene, list(state), duration, falling, rising, [means(time, duration) for means in drive.force_means]
+    )
 
 
 def replayed(

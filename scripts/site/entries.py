@@ -15,12 +15,12 @@ from jackbox_env.exact.contact import bounce_together
 from jackbox_env.exact.flight import TABLE_WIDTH
 from jackbox_env.exact.late import settle_and_advance
 from jackbox_env.exact.pcg64 import ARM, BOX_INERTIA, BOX_MASS, HALF_WIDTH, JACK_INERTIA, JACK_MASS, restart_blocks
-from jackbox_env.exact.score import observe_landing, score_one, state_in
+from jackbox_env.exact.score import COSINES, observe_one, score_one, state_in
 from jackbox_env.exact.step import Pieces, make_parameters
 from jackbox_env.exact.step import step as step_once
 from jackbox_env.exact.workspace import AT_IMPACT, HEIGHT, Workspace, make_numbers
 from jackbox_env.model.action import landing_share
-from jackbox_env.model.landing import is_over
+from jackbox_env.model.landing import ends_decision
 from jackbox_env.model.mechanics import energy_of, twice_kinetic
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.scene import SceneNumbers, square_inertia
@@ -102,8 +102,11 @@ def score(buffer: Any) -> None:
 def observe(buffer: Any, observation: Any) -> None:
     """Write the numbers of ``observation="landing"`` of AFTER, which trained agents observe."""
     d = array(buffer, (LENGTH,))
-    scene = make_numbers(d[SCENE_AT : SCENE_AT + SCENE])
-    observe_landing(scene, d[AFTER : AFTER + 12], d[TIME], array(observation, (OBSERVED,)))
+    observe_one(d[SCENE_AT : SCENE_AT + SCENE], d[AFTER : AFTER + 12], d[TIME], array(observation, (OBSERVED,)))
+
+
+# For which it is compiled.
+LANDING: dict[str, Any] = {"observation_values": OBSERVATIONS["landing"].values, **COSINES}
 
 
 def start(buffer: Any, numbers: Any, words: Any) -> None:
@@ -138,13 +141,13 @@ def act(
 ) -> None:
     """The trained agent's SHARE of the torque limit in the step from AFTER.
 
-    It decides after ``longest`` steps, or when an impact ends a decision (:func:`jackbox_env.model.landing.is_over`).
+    It decides after ``longest`` steps, or by :func:`jackbox_env.model.landing.ends_decision`.
     STEPS are those since its decision, -1 before the first.
     """
     d = array(buffer, (LENGTH,))
     if 0.0 <= d[STEPS] < longest:
         d[SEPARATED] = max(d[SEPARATED], 1.0 if d[HITS] == 0.0 else 0.0)
-        if is_over(d[STEPS], d[SEPARATED] != 0.0, d[HITS] > 0.0, max_contact_steps):
+        if ends_decision(d[STEPS], d[SEPARATED] != 0.0, d[HITS] > 0.0, max_contact_steps):
             d[STEPS] = -1.0
     if not 0.0 <= d[STEPS] < longest:
         decide(d, array(observation, (OBSERVED,)), weights, values, hidden, outputs)

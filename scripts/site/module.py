@@ -25,7 +25,7 @@ def physics() -> bytes:
         "start": Export(entries.start, (numbers, counts, words)),
         "derive": Export(entries.derive, (numbers,)),
         "measure": Export(entries.measure, (numbers,)),
-        "observe": Export(entries.observe, (numbers, floats)),
+        "observe": Export(entries.observe, (numbers, floats), entries.LANDING),
         "act": Export(entries.act, (numbers, floats, floats, numbers, integer, integer, integer, integer)),
     }
     for name, task in TASKS.items():

@@ -11,10 +11,11 @@ import pytest
 from agents.evaluation.returns import evaluate
 from agents.policies.planner import Planner
 from agents.policies.registry import find_policy
+from agents.policies.scripted import state_of
 from agents.policies.value import Value
 from agents.settings import EnvSettings
-from jackbox_env import Drive, Scene
-from jackbox_env.model.observation import observe, state_of
+from jackbox_env import Drive, Scene, State
+from jackbox_env.model.observation import STATE, observe
 from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for, states_in
 
@@ -25,7 +26,7 @@ SMALL: dict[str, Any] = {"samples": 24, "elites": 4, "iterations": 2, "knots": 1
 def test_the_state_is_read_off_the_observation(scene: Scene) -> None:
     for seen in observed(scene, states_in(scene, 50)):
         state = state_of(scene, seen.tolist())
-        np.testing.assert_allclose(observe(scene, state.tolist()), seen, atol=2e-6)
+        np.testing.assert_allclose(observe(scene.numbers, State(*state.tolist()), 0.0, STATE), seen, atol=2e-6)
         assert state[[0, 1, 6, 7]].tolist() == [0.0] * 4
 
 

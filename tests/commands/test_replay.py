@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import struct
@@ -137,13 +136,9 @@ def test_a_replay_ends_where_its_work_does(monkeypatch: pytest.MonkeyPatch) -> N
         (text()[:-1], 2, "a game must be a JSON object, got .*"),
     ],
 )
-def test_the_command_compares(
-    shared: str, status: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for argument, typed in ((shared, ""), ("-", shared)):
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode())))
-        done = jackbox("replay", argument, cwd=tmp_path, status=status)
-        assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
+def test_the_command_compares(shared: str, status: int, said: str, tmp_path: Path) -> None:
+    done = jackbox("replay", shared, cwd=tmp_path, status=status)
+    assert re.fullmatch(f"{said}\n", done.stderr if status == 2 else done.stdout)
 
 
 # -- play -------------------------------------------------------------------------------------------------------------

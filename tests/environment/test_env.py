@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from jackbox_env import Chirp, JackInBoxEnv, Scene, make_simulator
-from jackbox_env.model.observation import BOUNDS, observe
+from jackbox_env import Chirp, JackInBoxEnv, Scene, State, make_simulator
+from jackbox_env.model.observation import BOUNDS, STATE, observe
 from tests.states import started
 
 make: Any = functools.partial(gym.make, "JackInBox-v0")
@@ -63,11 +63,11 @@ def test_an_observation_equals_the_documented_table() -> None:
     state = [1.0, 2.0, math.pi / 2, 1.0, 5.0, math.pi / 2 + math.pi / 6, 0.5, 0.0, 1.5, 0.5, -2.0, -7.0]
     v0 = math.sqrt(2.0 * 9.81 * 6.0)
     expected = [3.0 / 6, 0, -2.0 / v0, 0, 0, 1, 1.5 * 6 / v0, math.cos(2 * math.pi / 3), math.sin(2 * math.pi / 3)]
-    observation = observe(Scene(), state)
+    observation = observe(Scene().numbers, State(*state), 0.0, STATE)
     np.testing.assert_allclose(observation, [*expected, -7.0 / v0], atol=1e-6)
     assert observation.dtype == np.float32
     quarter_turn = [*state[:5], state[5] + math.pi / 2, *state[6:]]
-    np.testing.assert_allclose(observe(Scene(), quarter_turn), observation, atol=1e-6)
+    np.testing.assert_allclose(observe(Scene().numbers, State(*quarter_turn), 0.0, STATE), observation, atol=1e-6)
 
 
 def test_observations_are_clipped_and_info_is_raw() -> None:
@@ -77,7 +77,7 @@ def test_observations_are_clipped_and_info_is_raw() -> None:
     assert observation in env.observation_space
     np.testing.assert_array_equal(info["state"], state)
     for row in 1e3 * np.random.default_rng(0).standard_normal((200, 12)):
-        assert np.all(np.abs(observe(Scene(), row.tolist())) <= BOUNDS)
+        assert np.all(np.abs(observe(Scene().numbers, State(*row.tolist()), 0.0, STATE)) <= BOUNDS)
 
 
 # -- stepping ----------------------------------------------------------------------------------------------------------

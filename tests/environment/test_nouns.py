@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from jackbox_env import Drive, JackInBoxEnv, Scene
+from jackbox_env import Drive, JackInBoxEnv, Scene, State
 from jackbox_env.model.action import Repeats
 from jackbox_env.model.observation import observation_of, observe
 from jackbox_env.simulators.agent_functions import observed
@@ -101,7 +101,7 @@ def test_observations_of_many_states_are_those_of_each_up_to_rounding() -> None:
     states = np.array([inside(scene, rng) for _ in range(200)])
     states[100:, [2, 5]] *= 1e4
     for name in ("state", "landing", SEEN):
-        one = np.array([observe(scene, state.tolist(), 0.5, observation_of(name)) for state in states])
+        one = np.array([observe(scene.numbers, State(*state), 0.5, observation_of(name)) for state in states])
         many = observed(scene, states, name, 0.5)
         np.testing.assert_allclose(many, one, atol=3e-7 if name != "landing" else 2e-6)
         low, high = observation_of(name).bounds

@@ -63,7 +63,11 @@ def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
 
     def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
-        return FunctionType(function.__code__, {**function.__globals__, **dict(instead)}) if instead else function
+        if _compiled.reachable_names(function).isdisjoint(dict(instead)):
+            return function
+        called = {name: function.__globals__.get(name) for name in _compiled.used_names(function.__code__)}
+        ours = {name: plain(one, instead, keep) for name, one in called.items() if isinstance(one, FunctionType)}
+        return FunctionType(function.__code__, {**function.__globals__, **ours, **dict(instead)})
 
     before = _compiled._compiled_once
     _compiled._compiled_once = plain  # type: ignore[assignment]
@@ -160,8 +164,8 @@ PROOFS = (
     Proof("drive", EXACT, "a function is interpolated", "function_pieces", _TURNED, {**_TURNED, "driven": True}),
     Proof("drive", BATCH, "the chirp's powers are worked out", "chirp_piece", {}, _CHIRP),
     Proof("side forces", PYMUNK, "a force is averaged", "Drive._means", {}, _PUSHED),
-    Proof("side forces", EXACT, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),
-    Proof("side forces", BATCH, "pieces of functions are followed", "advance_pieces", {}, _PUSHED),
+    Proof("side forces", EXACT, "pieces of functions are followed", "function_piece", {}, _PUSHED),
+    Proof("side forces", BATCH, "pieces of functions are followed", "function_piece", {}, _PUSHED),
     Proof("infos of a batch", BATCH, "infos are gathered", "ExactBatch._infos", {}, {"with_infos": True}),
     Proof("rendering", PYMUNK, "the renderer records a step", "Renderer.record", {}, _PICTURE),
     Proof("rendering", EXACT, "the renderer records a step", "Renderer.record", {}, _PICTURE),

@@ -151,7 +151,7 @@ MOTION = [
             lambda _, inertia=inertia: make_simulator(Scene(jack_inertia=inertia), "pymunk"),
             ValueError,
             f"jack_inertia = {inertia:g} kg m^2, box_inertia = 14400 kg m^2 and jack_arm = 0.1666667 box_half_width "
-            "couple the feet so strongly that contact='pymunk' needs ... iterations, at most 100,000 are made",
+            "couple the feet so strongly that contact='pymunk' needs more than 100,000 iterations",
         )
         for inertia in (4e-6, 4e-9, 4e-16, 4e-25)
     ),
@@ -159,8 +159,8 @@ MOTION = [
         lambda _: JackInBoxEnv("pymunk", scene={"jack_arm": 6.0 + 6e-6}),
         ValueError,
         "jack_inertia = 144 kg m^2, box_inertia = 14400 kg m^2 and jack_arm = 1.000001 "
-        "box_half_width couple the feet so strongly that contact='pymunk' needs 4,605,187 "
-        "iterations, at most 100,000 are made",
+        "box_half_width couple the feet so strongly that contact='pymunk' needs more than "
+        "100,000 iterations",
     ),
 ]
 

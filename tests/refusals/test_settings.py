@@ -28,7 +28,6 @@ INSTEAD = {
         ("task", "observation", "action", "action_repeat", "randomize", "control_dt", "contact"),
         "make a new environment with {}=",
     ),
-    "torque_source": "with torque=",
     "scene": r'reset\(options={{"scene": ...}}\)',
 }
 

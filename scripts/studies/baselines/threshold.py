@@ -24,7 +24,7 @@ from jackbox_env.mechanics import gaps, impact_map
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import RATES, Array, clearance
 from jackbox_env.simulators.base import Impact
-from jackbox_env.simulators.flight import fly
+from jackbox_env.simulators.flight import after_flight
 from scripts.studies.baselines.base import Baseline, Trace
 
 BAND = 0.1  # [m] a foot this near a wall, on either side, counts as hitting it
@@ -61,7 +61,7 @@ class Model(Baseline):
             start = time + number * h
             turning = self._stages(start, h, torque)
             total += 0.5 * sum(turning)
-            flown = fly(self.scene, state, h, *turning, [])
+            flown = after_flight(self.scene, state, h, *turning, [])
             if trace is not None:
                 trace.append((state, flown))
             state = self._resolve(flown, start + h, impacts)
