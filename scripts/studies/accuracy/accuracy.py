@@ -20,12 +20,10 @@ from scripts.studies.accuracy.measured import (
     PREDICTABLE,
     PYMUNK,
     REFERENCE,
-    SUBSTEPS,
     THRESHOLD,
     Results,
     Row,
     of_fidelity,
-    pymunk,
 )
 from scripts.studies.accuracy.picture import draw, draw_engines, draw_impacts
 from scripts.studies.pages import table, two_digits
@@ -152,7 +150,6 @@ def fidelity_table(results: Results) -> str:
 def _words(results: Results) -> dict[str, Any]:
     wrong = results.of(THRESHOLD, "imbalance")
     return {name: _of_setting(results, of_fidelity(name)) for name in FIDELITIES} | {
-        "within": _within(results),
         "threshold_energy": figure(wrong.median),
         "halving": f"{2.0 ** results.order('first_1')[0]:.1f}",
         "proven": f"{results.of(EXACT, 'known', REFERENCE).total:g}",
@@ -171,16 +168,6 @@ def _of_setting(results: Results, setting: str) -> dict[str, str]:
 def _times(value: float) -> str:
     """How many times faster or slower, in two digits at most."""
     return f"{float(f'{value:.2g}'):.{0 if value > 5.0 else 1}f}"
-
-
-def _within(results: Results) -> str:
-    """The coarsest setting of pymunk whose first impact is never 1 ms late."""
-    for substeps in SUBSTEPS:
-        name = pymunk(substeps).name
-        if name in results.settings and results.of(name, "first_1").worst <= 1e-3:
-            slower = _of_setting(results, name)["slower"]
-            return f" `substeps={substeps}` stays within 1 ms and is {slower} times slower."
-    return ""
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------
