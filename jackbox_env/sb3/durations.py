@@ -56,6 +56,7 @@ class Durations(BaseCallback):
             needed = "a ReplayBuffer with n_steps=1 and without optimize_memory_usage"
             raise TypeError(f"Durations needs {needed}, got {kind.__name__}")
         buffer.gamma = model.gamma  # a loaded buffer has that of another model
+        self.training_env.unwrapped.discounted = True  # type: ignore[attr-defined]
 
     def _on_step(self) -> bool:
         """Pass a decision's durations on, and add to rewards the values after the time limit, in one evaluation.

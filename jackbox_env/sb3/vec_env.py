@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -73,6 +74,7 @@ class JackInBoxVecEnv(VecEnv):
         self.metadata = self.vector_env.metadata
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
         self._changes = 0  # of the vector environment, at the time of returns and lengths
+        self.discounted = env_kwargs.get("action_repeat") != "bounce"  # rightly: Durations sets it too
 
     # -- stepping -----------------------------------------------------------------------------------------------------
 
@@ -107,6 +109,18 @@ class JackInBoxVecEnv(VecEnv):
 
     def step_async(self, actions: Any) -> None:
         """Store the actions, shape (N, n) or (N,), for ``step_wait``."""
+        if not self.discounted:
+            caller = sys._getframe(1)
+            while caller.f_back and caller.f_code.co_name in ("step", "step_async"):  # of wrappers
+                caller = caller.f_back
+            # of a training whose discount depends on the duration
+            if caller.f_code.co_name == "collect_rollouts" and caller.f_locals["self"].gamma != 1.0:
+                self.discounted = True  # one warning is enough
+                warnings.warn(
+                    "decisions of 'bounce' last unequally, and gamma is per decision: learn(n, callback=Durations()) "
+                    "of jackbox_env.sb3 discounts by elapsed time",
+                    stacklevel=2,
+                )
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:

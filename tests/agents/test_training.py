@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -129,10 +130,23 @@ def test_values_after_the_time_limit_are_discounted_as_ppo_does(recurrent: bool)
         if recurrent:
             contrib: Any = pytest.importorskip("sb3_contrib")
             model = contrib.RecurrentPPO("MlpLstmPolicy", environments, n_steps=12, gamma=gamma, seed=0, device="cpu")
-        model.learn(96, callback=callback)
+        with nullcontext() if callback else pytest.warns(UserWarning, match="last unequally"):
+            model.learn(96, callback=callback)
         learnt.append(torch.cat([weight.flatten() for weight in model.policy.state_dict().values()]))
     torch.testing.assert_close(learnt[0], learnt[1], rtol=1e-5, atol=1e-6)
     assert (learnt[0] - learnt[2]).abs().max() > 1e-4
+
+
+def test_a_training_with_decisions_of_unequal_durations_is_warned_of_it_once() -> None:
+    environments = make_vec_env(FLOATING.env_settings, 4, 0)
+    model = make_ppo(FLOATING, environments)
+    environments.reset()
+    environments.step(np.zeros((4, 2)))  # is no training: a warning would be an error
+    with pytest.warns(UserWarning, match=r"learn\(n, callback=Durations\(\)\)") as seen:
+        model.learn(96)
+    assert len(seen) == 1
+    # without a discount there is no reason to
+    make_ppo(replace(FLOATING, gamma=1.0), make_vec_env(FLOATING.env_settings, 4, 0)).learn(48)
 
 
 def test_a_loaded_replay_buffer_is_discounted_by_the_model_that_loads_it(tmp_path: Path) -> None:
