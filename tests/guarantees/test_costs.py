@@ -23,6 +23,7 @@ from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.exact import run, workspace
 from jackbox_env.exact.workspace import new_log
 from jackbox_env.jit import compiler as _compiled
+from jackbox_env.jit.names import reachable_names, used_names
 from jackbox_env.model.scene import Drive, Scene
 from jackbox_env.simulators import make_simulator
 from tests.states import started
@@ -63,9 +64,9 @@ def uncompiled() -> Iterator[None]:
     """Run compiled functions as plain Python, in all that is made and stepped within the block."""
 
     def plain(function: FunctionType, instead: tuple[tuple[str, Any], ...], keep: bool) -> FunctionType:
-        if _compiled.reachable_names(function).isdisjoint(dict(instead)):
+        if reachable_names(function).isdisjoint(dict(instead)):
             return function
-        called = {name: function.__globals__.get(name) for name in _compiled.used_names(function.__code__)}
+        called = {name: function.__globals__.get(name) for name in used_names(function.__code__)}
         ours = {name: plain(one, instead, keep) for name, one in called.items() if isinstance(one, FunctionType)}
         return FunctionType(function.__code__, {**function.__globals__, **ours, **dict(instead)})
 
