@@ -90,7 +90,7 @@ class Recording:
     def from_frame(
         cls, columns: Any, scene: Scene | Mapping[str, Any] | None = None,
         *, names: Mapping[str, str] | None = None, y_down: bool = False, impacts: ArrayLike | None = None,
-        torque: str = "held",
+        torque: str = "held", scale: float | None = None,
     ) -> Recording:  # fmt: skip
         """The recording of a table, of a camera for example.
 
@@ -106,7 +106,8 @@ class Recording:
 
         Args:
             columns: a dict of columns, a DataFrame of pandas or polars, or an array with named fields; NaN or None
-                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``.
+                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``,
+                or a :class:`jackbox_env.fits.tables.Table`.
             scene: whose sizes and drive the recording is compared with; None: the scene in the npz file, else the
                 default scene.
             names: headers that stand for other names here, as ``{"x_jack": "ball_x", "time": "t [ms]"}``. Headers
@@ -115,20 +116,15 @@ class Recording:
             impacts: times at which impacts were heard [s].
             torque: whether each torque was "held" to the next row, "sampled" from a smooth curve, or "linear" to the
                 next.
+            scale: pixels per metre, of columns in px.
 
         Raises:
             TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
         """
         check.flag("y_down", y_down)
         scene = Scene.of(stored_scene(columns) if scene is None else scene)
-        return cls.from_table(table_of(columns), scene, names, y_down, impacts, torque)
-
-    @classmethod
-    def from_table(
-        cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
-        impacts: ArrayLike | None = None, torque: str = "held",
-    ) -> Recording:  # fmt: skip
-        """:meth:`from_frame` of a :class:`jackbox_env.fits.tables.Table`."""
+        table = columns if isinstance(columns, Table) else table_of(columns)
+        table = table._replace(scale=None if scale is None else check.real("scale", scale, above=0.0))
         heard = None if impacts is None else _finite("impacts", impacts)
         arguments, notes = evened(table, scene, names, y_down, heard, torque)
         try:
