@@ -60,9 +60,9 @@ def evened(
     """
     columns, left_out = in_si_units(table, UNITS, names)
     if impacts is None and not columns.keys() & {*STATE_NAMES}:
-        needed = "one of the 12 numbers of a state; --columns (in Python names=) maps other headers"
         raise ValueError(
-            f"{table.header()}s must have {needed}, got {', '.join(header for header, _ in table.columns)}"
+            f"{table.header()}s must have one of the 12 numbers of a state; --columns (in Python names=) maps other "
+            f"headers, got {', '.join(header for header, _ in table.columns)}"
         )
     steps = times, rows, dt = _frames(table, columns["time"], scene)
     frames, missing = rows[-1] + 1, rows[-1] + 1 - len(rows)
@@ -74,8 +74,10 @@ def evened(
     torques, begin = _torques(table, scene, columns.get("torque"), left_out, steps, torque), float(times[0])
     if abs(times).max() > LATEST_TIME:
         if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
-            drive = "drive depends on the time: give the drive's times; --torque none if nothing turns the box"
-            raise ValueError(f"{table.source}column time: begins at {begin:.10g} s, and the scene's {drive}")
+            raise ValueError(
+                f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give "
+                "the drive's times; --torque none if nothing turns the box"
+            )
         notes.append(f"times count from the first row, at {begin:.10g} s")
         begin, impacts = 0.0, None if impacts is None else impacts - times[0]
     return {
@@ -137,14 +139,16 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     """Even times of the rows, the frame of each row, and the time between frames; ValueError if there are none."""
     filled(table, "time", times)
     if len(times) < 2:
-        where = f"{table.source}row {table.lines[-1] if table.lines else 1}"
-        raise ValueError(f"{where}: there must be two rows of numbers at least")
+        row = table.lines[-1] if table.lines else 1
+        raise ValueError(f"{table.source}row {row}: there must be two rows of numbers at least")
     steps = np.diff(times)
     wrong = (steps <= 0.0) | (np.maximum(abs(times[1:]), abs(times[:-1])) > _LATEST)
     if wrong.any():
         row = int(wrong.argmax())
-        steps_of = f"{times[row + 1]:.10g} s after {times[row]:.10g} s"
-        raise ValueError(f"{table.at(row + 1)}, column time: must increase up to {_LATEST:g} s, got {steps_of}")
+        raise ValueError(
+            f"{table.at(row + 1)}, column time: must increase up to {_LATEST:g} s, got {times[row + 1]:.10g} s after "
+            f"{times[row]:.10g} s"
+        )
     spacing = 4.0 * float(np.spacing(abs(times).max()))
     rounding = rounding_of(times)
     gaps = _gaps(table, steps, rounding)
@@ -222,11 +226,15 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
             _FASTEST * scene.speed_scale / unit,
         )
         if _often(steps / (np.diff(rows) * dt)) > fastest or (angle and steps.max(initial=0.0) > _LARGEST_STEP):
-            moves = f"{name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from row to row, in {dt:.3g} s"
-            raise ValueError(f"{table.source}column {name}: {moves}: {wrong[angle]}?")
+            raise ValueError(
+                f"{table.source}column {name}: {name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from "
+                f"row to row, in {dt:.3g} s: {wrong[angle]}?"
+            )
         if _often(abs(rates[np.isfinite(rates)])) > fastest:
-            often = f"{STATE_NAMES[column + RATES]}: is often above {fastest:,.4g} {STATE_UNITS[column + RATES]}"
-            raise ValueError(f"{table.source}column {often}: {wrong[angle]}?")
+            raise ValueError(
+                f"{table.source}column {STATE_NAMES[column + RATES]}: is often above {fastest:,.4g} "
+                f"{STATE_UNITS[column + RATES]}: {wrong[angle]}?"
+            )
 
 
 def _often(rates: Array) -> float:

@@ -102,8 +102,10 @@ def read_table(path: Path, array: str, named: str = "time") -> Table:
     width = len(headers)
     for line, row in zip(lines, rows, strict=True):
         if len(row) < width or any(cell.strip() for cell in row[width:]):
-            needed = f"{width} cells like row {at_line}, with {DELIMITERS[delimiter]} between and points in numbers"
-            raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
+            raise ValueError(
+                f"{path}, row {line}: must have {width} cells like row {at_line}, with {DELIMITERS[delimiter]} between "
+                f"and points in numbers, got {len(row)}"
+            )
     columns = zip(*(row[:width] for row in rows), strict=True) if rows else [()] * width
     return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines, at_line)
 
@@ -161,16 +163,20 @@ def in_si_units(
     for name, si in units.items():
         text = names.get(name, name)
         found = [one for one in table.columns if name in names and one[0].strip() == text.strip()]
-        both = zip(table.columns, numbered, strict=True)
-        found = found or [one for one, also in both if is_named(one[0], text) or is_named(also, text)]
+        found = found or [
+            one
+            for one, also in zip(table.columns, numbered, strict=True)
+            if is_named(one[0], text) or is_named(also, text)
+        ]
         if len(found) > 1:
-            remedy = f"; choose one as {text} #1" * (name in names)
-            raise ValueError(f"{table.header()} {check.shown(found[1][0])} comes twice{remedy}")
+            raise ValueError(
+                f"{table.header()} {check.shown(found[1][0])} comes twice"
+                f"{f'; choose one as {text} #1' * (name in names)}"
+            )
         if not found and (name in names or name in needed):
+            which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
             listed = ", ".join(map(repr, numbered)) or "none"
-            which = f"{text!r}, which is to be {name}, must be one of {listed}"
-            which = which if name in names else f"{name} [{si}] must be one of {listed}"
-            raise ValueError(f"{table.header()} {which}")
+            raise ValueError(f"{table.header()} {which} must be one of {listed}")
         if found:
             chosen[name] = found[0][0], _factor(table, found[0][0], text, si), found[0][1]
     if table.scale is not None and 1.0 / table.scale not in (factor for _, factor, _ in chosen.values()):
@@ -181,8 +187,10 @@ def in_si_units(
         for name, (header, factor, values) in chosen.items()
     }
     if len({len(column) for column in columns.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
-        raise ValueError(f"{table.source}columns must have the same number of rows, got {lengths}")
+        raise ValueError(
+            f"{table.source}columns must have the same number of rows, got "
+            f"{', '.join(f'{name} {len(column)}' for name, column in columns.items())}"
+        )
     others = (one for one in table.columns if not any(one[1] is values for _, _, values in chosen.values()))
     return columns, tuple(header for header, _ in others if header.strip())
 
@@ -211,8 +219,10 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
         cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
         for row, cell in enumerate(cells):
             if "," in cell or not VALUE.fullmatch(cell):
-                what = f"must be a number or empty, got {check.shown(values[row].strip())}"
-                raise ValueError(f"{table.at(row)}, column {header}: {what}")
+                raise ValueError(
+                    f"{table.at(row)}, column {header}: must be a number or empty, got "
+                    f"{check.shown(values[row].strip())}"
+                )
         values = [float(cell) if NUMBER.fullmatch(cell) else math.nan for cell in cells]
     array = np.ma.filled(values.astype(np.float64), math.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
     try:
@@ -241,10 +251,11 @@ def _factor(table: Table, header: str, name: str, si: str) -> float:
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {name!r}, chosen for it")
     unit = next(one for one in (of_name, of_header, ending if plain(ending) in known else si) if one is not None)
     if plain(unit) not in known:
-        allowed = ", ".join(factors)
         scale = "; --scale (in Python scale=) gives pixels per metre" * (plain(unit) in PIXELS.values())
-        must = f"{check.shown(header)} must be in one of the units {allowed}, got {unit!r}{scale}"
-        raise ValueError(f"{table.header()} {must}")
+        raise ValueError(
+            f"{table.header()} {check.shown(header)} must be in one of the units {', '.join(factors)}, got "
+            f"{unit!r}{scale}"
+        )
     return known[plain(unit)]
 
 
