@@ -162,23 +162,13 @@ def in_si_units(
     chosen = dict[str, tuple[str, float, Any]]()
     for name, si in units.items():
         text = names.get(name, name)
-        found = [one for one in table.columns if name in names and one[0].strip() == text.strip()]
-        found = found or [
-            one
-            for one, also in zip(table.columns, numbered, strict=True)
-            if is_named(one[0], text) or is_named(also, text)
-        ]
-        if len(found) > 1:
-            raise ValueError(
-                f"{table.header()} {check.shown(found[1][0])} comes twice"
-                f"{f'; choose one as {text} #1' * (name in names)}"
-            )
-        if not found and (name in names or name in needed):
+        found = _named(table, numbered, text, name in names)
+        if found:
+            chosen[name] = found[0], _factor(table, found[0], text, si), found[1]
+        elif name in names or name in needed:
             which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
             listed = ", ".join(map(repr, numbered)) or "none"
             raise ValueError(f"{table.header()} {which} must be one of {listed}")
-        if found:
-            chosen[name] = found[0][0], _factor(table, found[0][0], text, si), found[0][1]
     if table.scale is not None and 1.0 / table.scale not in (factor for _, factor, _ in chosen.values()):
         raise ValueError(f"{table.source}scale goes with columns in px, which no header has")
     decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
@@ -193,6 +183,18 @@ def in_si_units(
         )
     others = (one for one in table.columns if not any(one[1] is values for _, _, values in chosen.values()))
     return columns, tuple(header for header, _ in others if header.strip())
+
+
+def _named(table: Table, numbered: Sequence[str], text: str, chosen: bool) -> tuple[str, Any] | None:
+    """The column of a name; None if there is none, ValueError if there are several. ``chosen``: not by its default."""
+    found = [one for one in table.columns if chosen and one[0].strip() == text.strip()]
+    found = found or [
+        one for one, also in zip(table.columns, numbered, strict=True) if is_named(one[0], text) or is_named(also, text)
+    ]
+    if len(found) > 1:
+        remedy = f"; choose one as {text} #1" * chosen
+        raise ValueError(f"{table.header()} {check.shown(found[1][0])} comes twice{remedy}")
+    return found[0] if found else None
 
 
 def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
