@@ -60,11 +60,16 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--y-down", action="store_true", help="y points downwards and angles are clockwise, as in images"
     )
-    text = (
-        "what turns the box in files without a column torque: drive, the scene's, a chirp unless --scene has another; "
-        "or none"
+    parser.add_argument("--scale", type=float, help="pixels per metre, of columns in px, as in x_jack=ball_x [px]")
+    parser.add_argument(
+        "--torque",
+        choices=("drive", "none"),
+        default="drive",
+        help=(
+            "what turns the box in files without a column torque: drive, the scene's, a chirp unless --scene has "
+            "another; or none; default: drive"
+        ),
     )
-    parser.add_argument("--torque", choices=("drive", "none"), default="drive", help=f"{text}; default: drive")
     text = (
         "whether each torque in a file was held to the next row, sampled from a smooth curve, or changes linearly to "
         "the next row; default: held, and a note if another fits better"
@@ -105,10 +110,11 @@ def _arguments() -> argparse.Namespace:
 
 
 def read_recording(
-    path: Path, scene: Scene, impacts: Path | None = None, names: Mapping[str, str] | None = None, y_down: bool = False,
-    torque: str = "held",
-) -> Recording:  # fmt: skip
+    path: Path, scene: Scene, impacts: Path | None = None, names: Mapping[str, str] | None = None, **options: Any
+) -> Recording:
     """The recording of a CSV or npz file, and of another with the times of impacts that were heard.
+
+    The options are those of ``Recording.from_frame``.
 
     Raises:
         ValueError: unusable content; the message names the file, the row's line and the column.
@@ -125,7 +131,7 @@ def read_recording(
         if states := [header for header in others if parts(header)[0] in STATE_NAMES]:
             raise ValueError(f"{impacts}: must have times of impacts, got states with a column {states[0]!r}")
     table = read_table(path, "state", (names or {}).get("time", "time"))
-    return Recording.from_table(table, scene, names, y_down, heard, torque)
+    return Recording.from_frame(table, scene, names=names, impacts=heard, **options)
 
 
 def column_names(text: str | None) -> dict[str, str]:
@@ -201,7 +207,7 @@ def main() -> None:
 
     def read(torque: str) -> list[Recording]:
         return [
-            read_recording(path, start, heard, names, arguments.y_down, torque)
+            read_recording(path, start, heard, names, y_down=arguments.y_down, torque=torque, scale=arguments.scale)
             for path, heard in zip(paths, impacts, strict=True)
         ]
 

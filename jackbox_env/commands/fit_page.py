@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jackbox_env.model.scene import Scene
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
-_ROWS = 10  # that are listed as left out
+_ROWS = 10  # that are listed as discounted
 _EDGE = 10.0  # of the noise: residuals are drawn no farther out, so that a row that was left out sets no scale
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
 _PAGE = """<!DOCTYPE html>
@@ -76,8 +76,8 @@ def sentences(result: Fit, recordings: Sequence[Recording]) -> list[str]:
     reasons = f"{left_out - result.unexplained:.2f} s where the jack rests or its bounces pile up"
     unexplained = f"{result.unexplained:.2f} s that the scene does not explain"
     lines.append(f"Left out of {whole:.2f} s: {reasons}, and {unexplained}.")
-    lines += [f"Left out, {one}." for one in result.bad_rows[:_ROWS]]
-    lines += [f"Left out, {len(result.bad_rows) - _ROWS} more rows."] * (len(result.bad_rows) > _ROWS)
+    lines += [f"Discounted, {one}." for one in result.bad_rows[:_ROWS]]
+    lines += [f"Discounted, {len(result.bad_rows) - _ROWS} more rows."] * (len(result.bad_rows) > _ROWS)
     if result.converged:
         lines.append("Converged: the search ended, every window fits within the noise, and the residuals are white.")
     else:

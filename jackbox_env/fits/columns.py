@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from jackbox_env.fits.torques import without_gaps
 from jackbox_env.model.scene import Chirp, Drive, Scene
 from jackbox_env.model.states import (
     LATEST_TIME,
+    RATES,
     STATE_NAMES,
     STATE_UNITS,
     THETA_BOX,
@@ -58,55 +59,64 @@ def evened(
         TypeError, ValueError: unusable content; the message names row and column.
     """
     columns, left_out = in_si_units(table, UNITS, names)
-    if impacts is None and not {*STATE_NAMES} & {*columns}:
-        needed = "one of the 12 numbers of a state; --columns (in Python names=) maps other headers"
+    if impacts is None and not columns.keys() & {*STATE_NAMES}:
         raise ValueError(
-            f"{table.header()}s must have {needed}, got {', '.join(header for header, _ in table.columns)}"
+            f"{table.header()}s must have one of the 12 numbers of a state; --columns (in Python names=) maps other "
+            f"headers, got {', '.join(header for header, _ in table.columns)}"
         )
-    times, rows, dt = _frames(table, columns["time"], scene)
-    missing = int(rows[-1]) + 1 - len(rows)
-    verb = "is" if missing == 1 else "are"
+    steps = times, rows, dt = _frames(table, columns["time"], scene)
+    frames, missing = rows[-1] + 1, rows[-1] + 1 - len(rows)
     notes = [f"what is above the headers, in row {table.at_line}, was left out"] * (table.at_line > 1)
     notes += [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
-    notes += [f"{missing} of {rows[-1] + 1} frames {verb} missing, and left open"] * bool(missing)
-    states = np.full((int(rows[-1]) + 1, 12), np.nan)
+    notes += [f"{missing} of {frames} frames {'is' if missing == 1 else 'are'} missing, and left open"] * bool(missing)
+    states = _states(columns, rows, y_down, notes)
+    _refuse_sizes(table, scene, states, dt)
+    torques, begin = _torques(table, scene, columns.get("torque"), left_out, steps, torque), float(times[0])
+    if abs(times).max() > LATEST_TIME:
+        if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
+            raise ValueError(
+                f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give "
+                "the drive's times; --torque none if nothing turns the box"
+            )
+        notes.append(f"times count from the first row, at {begin:.10g} s")
+        begin, impacts = 0.0, None if impacts is None else impacts - times[0]
+    return {
+        "states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts, "torque": torque,
+    }, tuple(notes)  # fmt: skip
+
+
+def _states(columns: Mapping[str, Array], rows: Any, y_down: bool, notes: list[str]) -> Array:
+    """States of columns in rows, (H + 1, 12), y upwards, unwrapped, NaN in lost frames; appends to the notes."""
+    states = np.full((rows[-1] + 1, 12), np.nan)
     for index, name in enumerate(STATE_NAMES):
-        values = columns.get(name)
-        if values is not None and name.startswith("theta"):
-            values, jumps, turn = unwrapped(values)
+        if name in columns:
+            values, jumps, turn = unwrapped(columns[name]) if name.startswith("theta") else (columns[name], 0, "")
             notes += [f"{name} wraps: {jumps} jumps of {turn} were taken out"] * bool(jumps)
-        if values is not None:
             states[rows, index] = -values if y_down and index % 3 else values
     lost = (states[:, X_JACK:THETA_JACK] == 0.0).all(axis=1)
     lost[0] = False  # where a simulation may begin
     if 0 < lost.sum() < 0.5 * len(states):
         states[lost, X_JACK : THETA_JACK + 1] = np.nan
         notes.append(f"x_jack and y_jack are 0 in {lost.sum()} rows, as of lost frames, which are left open")
-    torques = columns.get("torque")
-    turning = [header for header in left_out if torques is None and _TORQUE.search(header)]
-    if turning and scene.drive is not None:
+    return states
+
+
+def _torques(
+    table: Table, scene: Scene, torques: Array | None, left_out: Sequence[str], steps: tuple[Array, Any, float],
+    kind: str,
+) -> Array | None:  # fmt: skip
+    """The torques of a recording, of those in rows; None if the scene's drive acts."""
+    times, rows, dt = steps
+    turning = [header for header in left_out if _TORQUE.search(header)]
+    if torques is None and turning and scene.drive is not None:
         raise ValueError(
             f"{table.header()} {check.shown(turning[0])} is left out, and the scene's drive would turn the box: name "
             "it as that of torque, or leave the drive out (--torque none)"
         )
-    if torques is not None and torque != "held":
-        torques = without_gaps(filled(table, "torque", torques), rows)
-    elif torques is not None:
-        torques = filled(table, "torque", torques[:-1])
-        torques = None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
-    _refuse_sizes(table, scene, states, dt)
-    begin = float(times[0])
-    if abs(times).max() > LATEST_TIME:
-        if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
-            drive = (
-                "the scene's drive depends on the time: give the drive's times; --torque none if nothing turns the box"
-            )
-            raise ValueError(f"{table.source}column time: begins at {begin:.10g} s, and {drive}")
-        notes.append(f"times count from the first row, at {begin:.10g} s")
-        begin, impacts = 0.0, None if impacts is None else impacts - times[0]
-    return {
-        "states": states, "torques": torques, "dt": dt, "time": begin, "impacts": impacts, "torque": torque,
-    }, tuple(notes)  # fmt: skip
+    if torques is None or kind != "held":
+        return None if torques is None else without_gaps(filled(table, "torque", torques), rows)
+    torques = filled(table, "torque", torques[:-1])
+    return None if _is_of(scene.drive, times, dt, torques) else np.repeat(torques, np.diff(rows))
 
 
 def unwrapped(angles: Array) -> tuple[Array, int, str]:
@@ -129,14 +139,16 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     """Even times of the rows, the frame of each row, and the time between frames; ValueError if there are none."""
     filled(table, "time", times)
     if len(times) < 2:
-        where = f"{table.source}row {table.lines[-1] if table.lines else 1}"
-        raise ValueError(f"{where}: there must be two rows of numbers at least")
+        row = table.lines[-1] if table.lines else 1
+        raise ValueError(f"{table.source}row {row}: there must be two rows of numbers at least")
     steps = np.diff(times)
     wrong = (steps <= 0.0) | (np.maximum(abs(times[1:]), abs(times[:-1])) > _LATEST)
     if wrong.any():
         row = int(wrong.argmax())
-        steps_of = f"{times[row + 1]:.10g} s after {times[row]:.10g} s"
-        raise ValueError(f"{table.at(row + 1)}, column time: must increase up to {_LATEST:g} s, got {steps_of}")
+        raise ValueError(
+            f"{table.at(row + 1)}, column time: must increase up to {_LATEST:g} s, got {times[row + 1]:.10g} s after "
+            f"{times[row]:.10g} s"
+        )
     spacing = 4.0 * float(np.spacing(abs(times).max()))
     rounding = rounding_of(times)
     gaps = _gaps(table, steps, rounding)
@@ -206,22 +218,35 @@ def _refuse_sizes(table: Table, scene: Scene, states: Array, dt: float) -> None:
         )
     wrong = "minutes, hours, days, millimetres or pixels", "degrees"
     for column, unit in ((X_JACK, 1.0), (Y_JACK, 1.0), (THETA_BOX, half), (THETA_JACK, scene.jack_arm)):
-        rows = np.flatnonzero(np.isfinite(states[:, column]))
+        rows, rates = np.flatnonzero(np.isfinite(states[:, column])), states[:, column + RATES]
         steps = abs(np.diff(states[rows, column]))
-        rate = float(np.quantile(steps / (np.diff(rows) * dt), _OFTEN)) if len(steps) else 0.0
-        name, angle = STATE_NAMES[column], column in (THETA_BOX, THETA_JACK)
-        if rate > _FASTEST * scene.speed_scale / unit or (angle and steps.max(initial=0.0) > _LARGEST_STEP):
-            moves = f"{name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from row to row, in {dt:.3g} s"
-            raise ValueError(f"{table.source}column {name}: {moves}: {wrong[angle]}?")
+        angle, name, fastest = (
+            column in (THETA_BOX, THETA_JACK),
+            STATE_NAMES[column],
+            _FASTEST * scene.speed_scale / unit,
+        )
+        if _often(steps / (np.diff(rows) * dt)) > fastest or (angle and steps.max(initial=0.0) > _LARGEST_STEP):
+            raise ValueError(
+                f"{table.source}column {name}: {name} changes by up to {steps.max():,.4g} {STATE_UNITS[column]} from "
+                f"row to row, in {dt:.3g} s: {wrong[angle]}?"
+            )
+        if _often(abs(rates[np.isfinite(rates)])) > fastest:
+            raise ValueError(
+                f"{table.source}column {STATE_NAMES[column + RATES]}: is often above {fastest:,.4g} "
+                f"{STATE_UNITS[column + RATES]}: {wrong[angle]}?"
+            )
+
+
+def _often(rates: Array) -> float:
+    """What rates are often below."""
+    return float(np.quantile(rates, _OFTEN)) if len(rates) else 0.0
 
 
 def _is_of(drive: Chirp | Drive | None, times: Array, dt: float, torques: Array) -> bool:
     """Whether torques [N m] are the means of a drive in steps that begin at times [s]; False if it has none there."""
-    if drive is None:
-        return False
     tolerance = _TORQUE_TOLERANCE * float(abs(torques).max())
     try:
-        return all(
+        return drive is not None and all(
             abs(torque - 0.5 * sum(drive.torque_means(time, dt))) <= tolerance
             for torque, time in zip(torques.tolist(), times[:-1].tolist(), strict=True)
         )

@@ -7,7 +7,6 @@ in time. Pieces of two rows are merged while one line fits both within the noise
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +33,6 @@ from jackbox_env.model.states import (
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK, _PLACE = slice(X_JACK, RATES), slice(X_JACK, THETA_JACK)
 _LEAST_ROWS = 4  # of a flight that is used
-_SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
@@ -49,8 +47,6 @@ class Flights(NamedTuple):
     lasting: NDArray[np.bool_]  # whether it lasts so long that the jack does not rest
     lines: Array  # value at the recording's begin and slope of each of six numbers, NaN if unobserved, (n, 6, 2)
     middles: Indices  # rows, of the lasting flights; of the first its begin
-    # Rows from the middle of a lasting flight to the next one's, if that follows after an impact or a short hop.
-    flown: list[tuple[int, int]]
 
 
 def falls(recording: Recording, scene: Scene) -> Array:
@@ -105,34 +101,7 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
         return None
     middles = (first + last)[long] // 2
     middles[0] = first[long[0]]
-    near = first[long[1:]] - last[long[:-1]] <= max(_CLOSE, least / recording.dt)
-    flown = [pair for pair, close in zip(pairwise(middles.tolist()), near, strict=True) if close]
-    return Flights(first, last, lasting, lines, middles, flown)
-
-
-def spikes_of(recording: Recording, scene: Scene, noise: Array) -> list[int]:
-    """Rows in which the jack is off every line through two of the rows around.
-
-    Not where that is usual: a jack that rests in a box that turns is on no line.
-    """
-    straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
-    spikes = list[int]()
-    rows = np.flatnonzero(np.isfinite(straight).all(axis=1))
-    while len(rows) > _SPIKE_ROWS:
-        values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
-        for one, other in ((-2, -1), (-1, 1), (1, 2)):
-            at = np.arange(max(0, -one), len(rows) - max(0, other))
-            share = ((rows[at] - rows[at + one]) / (rows[at + other] - rows[at + one]))[:, None]
-            between = values[at] - values[at + one] * (1.0 - share) - values[at + other] * share
-            least[at] = np.minimum(least[at], abs(between) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
-        score = least.max(axis=1)
-        around = np.lib.stride_tricks.sliding_window_view(np.pad(score, _SPIKE_ROWS // 2, mode="reflect"), _SPIKE_ROWS)
-        peaks = (score > _SPIKE * np.maximum(1.0, np.median(around, axis=1))) & (score >= around[:, 2:5].max(axis=1))
-        if not peaks.any():
-            break
-        spikes += rows[peaks].tolist()
-        rows = rows[~peaks]
-    return spikes
+    return Flights(first, last, lasting, lines, middles)
 
 
 def _merged(times: Any, values: Array) -> Indices:
@@ -159,8 +128,7 @@ def _squares(sums: Array) -> Array:
     value, moment, values = np.split(sums[:, 3:], 3, axis=1)
     spread = np.maximum(square - time**2 / count, 1e-300)
     lines = value**2 / count + (moment - value * time / count) ** 2 / spread
-    result: Array = (values - lines).sum(axis=1)
-    return result
+    return np.asarray((values - lines).sum(axis=1))
 
 
 def impacts_of(
@@ -195,8 +163,9 @@ def state_on(recording: Recording, scene: Scene, lines: Array, times: Any) -> Ar
     added, rows = falls(recording, scene), np.arange(len(recording.states)) * recording.dt
     both = np.concatenate([added, np.gradient(added, recording.dt, axis=0, edge_order=2)], axis=1)
     offsets = np.stack([np.interp(times, rows, column) for column in both.T], axis=1)
-    states: Array = np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - offsets
-    return states
+    return np.asarray(
+        np.concatenate([lines[:, :, 0] + lines[:, :, 1] * times[:, None], lines[:, :, 1]], axis=1) - offsets
+    )
 
 
 def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array) -> Array:
@@ -229,8 +198,7 @@ def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array
     widths = np.array([9.0 * size] * 2 + [9.0 * scene.speed_scale] * 2 + [2.0 * ratio])
     rows.append(np.diag(1.0 / widths))
     known.append(prior / widths)
-    centre: Array = np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0]
-    return centre
+    return np.asarray(np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0])
 
 
 def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Array) -> Array:

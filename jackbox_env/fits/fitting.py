@@ -64,11 +64,15 @@ def fit(
         check.choice("a field", name, FIELDS)
     parameters = Parameters(fields, Scene.of(start))
     known = known_noise(noise)
-    seen = sum(int(np.isfinite(one.states).any(axis=1).sum()) for one in several)
-    seen += sum(len(one.impacts) for one in several if one.impacts is not None)
+    seen = sum(
+        int(np.isfinite(one.states).any(axis=1).sum()) + (0 if one.impacts is None else len(one.impacts))
+        for one in several
+    )
     if seen < _LEAST_SEEN:
-        least = f"at least {_LEAST_SEEN} rows in which something was observed, or impacts that were heard"
-        raise ValueError(f"recordings must have {least}, got {seen}")
+        raise ValueError(
+            f"recordings must have at least {_LEAST_SEEN} rows in which something was observed, or impacts that were "
+            f"heard, got {seen}"
+        )
     return _fitted(Search(list(several), parameters, known))
 
 

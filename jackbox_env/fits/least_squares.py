@@ -19,7 +19,9 @@ from jackbox_env.model.states import Array
 
 Indices = NDArray[np.intp]
 
-LINK, UNHEARD = -1, -2  # columns of residuals that are no observations: a link or a prior, an impact the model lacks
+# Columns of residuals that count as no observations: a link or a prior, an impact the model lacks, a bad number.
+LINK, UNHEARD, FAR = -1, -2, -3
+FARTHEST = 5.0  # standard deviations of a number that is not bad; a worse one adds the logarithm of its square
 WIDTH = 12  # unknowns of a window
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
@@ -41,7 +43,7 @@ class Rows(NamedTuple):
 
     residuals: Array  # (modelled - observed) / noise
     jacobian: Array  # by the window's start, the next window's, and the fields: (rows, 24 + F)
-    column: Indices  # index into the state, 12: an impact's time; LINK or UNHEARD
+    column: Indices  # index into the state, 12: an impact's time; LINK, UNHEARD or FAR
     window: Indices  # index of the window
 
     @property
@@ -101,8 +103,7 @@ class Chain:
         rest, others = self._eliminate(0.0, 0)[2], self._eliminate(0.0, fitted)[2]
         columns, lengths = others[:, :-1], np.linalg.norm(others[:, :-1], axis=0)
         least = np.maximum(1.0 / UNIDENTIFIABLE, 1e-6 * np.linalg.norm(rest[:, fitted:-1], axis=0))
-        moves: Array = -(columns.T @ others[:, -1]) / np.maximum(lengths, least) * (lengths > least)
-        return moves
+        return np.asarray(-(columns.T @ others[:, -1]) / np.maximum(lengths, least) * (lengths > least))
 
     def _eliminate(self, damping: float, fitted: int | None = None) -> tuple[Array, list[Array], Array]:
         """The first fields by the others; each start by the start before it and the fields; the rows that are left.
@@ -175,16 +176,13 @@ def minimise(
     assert rows is not None
     damping, count = _FIRST_DAMPING, len(low)
 
-    def step_from(rows: Rows, unknowns: Array, damping: float) -> tuple[Step, float]:
-        return _step_within(rows, windows, damping, low - unknowns[:count], high - unknowns[:count])
-
     def moved_by(unknowns: Array, move: Array) -> tuple[Array, Rows | None, float]:
         tried = unknowns + move
         tried[:count] = np.clip(tried[:count], low, high)  # against rounding
         trial = evaluate(tried)
         return tried, trial, np.inf if trial is None else float((trial.residuals**2).sum())
 
-    step, share = step_from(rows, unknowns, damping)
+    step, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
     longest, blocking = share, np.zeros(0, np.intp)
     for _ in range(most):
         square = float((rows.residuals**2).sum())
@@ -192,7 +190,7 @@ def minimise(
         tried, trial, after = moved_by(unknowns, moved)
         expected = share * (2.0 - share) * step.decrease
         if trial is not None and share == longest and not square - after > 1e-4 * expected:
-            again, further = step_from(trial, tried, _LEAST_DAMPING)
+            again, further = _step_within(trial, windows, _LEAST_DAMPING, tried[:count], low, high)
             moved = moved + further * again.unknowns
             second = moved_by(tried, further * again.unknowns)
             if second[2] < after:
@@ -202,7 +200,7 @@ def minimise(
         if trial is not None and decrease > 1e-4 * expected:
             unknowns, rows = tried, trial
             damping = max(0.1 * damping, _LEAST_DAMPING) if share == longest else max(_GROWTH * damping, _FIRST_DAMPING)
-            step, share = step_from(rows, unknowns, damping)
+            step, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
             longest = share
         else:
             share *= _SHORTER
@@ -211,24 +209,26 @@ def minimise(
                 excess = np.bincount(rows.window, trial.residuals**2 - rows.residuals**2, windows)
                 blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
-            step, _ = step_from(rows, unknowns, _FIRST_DAMPING)
+            step, _ = _step_within(rows, windows, _FIRST_DAMPING, unknowns[:count], low, high)
             away = float(np.linalg.norm(Chain(rows, windows).information() @ step.fields))
             ended = (away < _NEAR_THE_END and step.decrease < _NEGLIGIBLE * windows) or _small(step.unknowns, unknowns)
             return unknowns, ended, blocking
     return unknowns, False, blocking
 
 
-def _step_within(rows: Rows, windows: int, damping: float, down: Array, up: Array) -> tuple[Step, float]:
-    """A step, and the share of it that stays within bounds, which are ``down`` and ``up`` from the fields.
+def _step_within(
+    rows: Rows, windows: int, damping: float, fields: Array, low: Array, high: Array
+) -> tuple[Step, float]:
+    """A step from the fields, and the share of it that stays within bounds.
 
     Fields at a bound that it would cross are held.
     """
-    held = np.zeros(len(down), dtype=bool)
+    held = np.zeros(len(fields), dtype=bool)
     while True:
         step = Chain(rows, windows).step(damping)
         step.fields[held] = 0.0
         moving = step.fields != 0.0
-        room = np.where(step.fields > 0.0, up, down)[moving] / step.fields[moving]
+        room = (np.where(step.fields > 0.0, high, low) - fields)[moving] / step.fields[moving]
         if not (room <= _TOLERANCE).any():
             return step, float(room.min(initial=1.0))
         held[np.flatnonzero(moving)[room <= _TOLERANCE]] = True

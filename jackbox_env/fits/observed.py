@@ -6,7 +6,7 @@ without any model.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from jackbox_env.fits.columns import evened
 from jackbox_env.fits.tables import Table, stored_scene, table_of
 from jackbox_env.fits.torques import TORQUE_KINDS, torques_between
 from jackbox_env.model.scene import Scene
-from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, VX_JACK, X_JACK, Array
+from jackbox_env.model.states import LATEST_TIME, RATES, STATE_NAMES, Array
 from jackbox_env.tools import checks as check
 
 SHORTEST = 1e-9  # [s] between states
@@ -64,8 +64,9 @@ class Recording:
             raise ValueError(f"states must have shape (H + 1, 12) with H >= 1, got {self.states.shape}")
         if np.isinf(self.states).any():
             row, column = np.argwhere(np.isinf(self.states))[0]
-            value = f"{STATE_NAMES[column]} = {self.states[row, column]} in row {row}"
-            raise ValueError(f"states must be finite or NaN, got {value}")
+            raise ValueError(
+                f"states must be finite or NaN, got {STATE_NAMES[column]} = {self.states[row, column]} in row {row}"
+            )
         self.dt = check.real("dt", dt, at_least=SHORTEST, at_most=LATEST_TIME)
         self.time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         count, one = (len(self.states) - 1, "step") if torque == "held" else (len(self.states), "state")
@@ -80,8 +81,10 @@ class Recording:
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
         heard, end = np.zeros(0) if self.impacts is None else self.impacts, self.time + count * self.dt
         if len(heard) and not ((heard >= self.time) & (heard <= end)).any():
-            within = f"within the recording, from {self.time:.6g} to {end:.6g} s"
-            raise ValueError(f"impacts must be {within}, got {heard[0]:.6g} s first: another clock?")
+            raise ValueError(
+                f"impacts must be within the recording, from {self.time:.6g} to {end:.6g} s, got {heard[0]:.6g} s "
+                "first: another clock?"
+            )
         if not (len(heard) or np.isfinite(self.states).any()):
             raise ValueError("states must have an observed number, got NaN only and no impacts")
         self.notes: tuple[str, ...] = ()
@@ -90,7 +93,7 @@ class Recording:
     def from_frame(
         cls, columns: Any, scene: Scene | Mapping[str, Any] | None = None,
         *, names: Mapping[str, str] | None = None, y_down: bool = False, impacts: ArrayLike | None = None,
-        torque: str = "held",
+        torque: str = "held", scale: float | None = None,
     ) -> Recording:  # fmt: skip
         """The recording of a table, of a camera for example.
 
@@ -106,7 +109,8 @@ class Recording:
 
         Args:
             columns: a dict of columns, a DataFrame of pandas or polars, or an array with named fields; NaN or None
-                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``.
+                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``,
+                or a :class:`jackbox_env.fits.tables.Table`.
             scene: whose sizes and drive the recording is compared with; None: the scene in the npz file, else the
                 default scene.
             names: headers that stand for other names here, as ``{"x_jack": "ball_x", "time": "t [ms]"}``. Headers
@@ -115,20 +119,16 @@ class Recording:
             impacts: times at which impacts were heard [s].
             torque: whether each torque was "held" to the next row, "sampled" from a smooth curve, or "linear" to the
                 next.
+            scale: pixels per metre, of columns in px.
 
         Raises:
             TypeError, ValueError: unusable columns, and sizes that are no metres, radians or seconds.
         """
         check.flag("y_down", y_down)
         scene = Scene.of(stored_scene(columns) if scene is None else scene)
-        return cls.from_table(table_of(columns), scene, names, y_down, impacts, torque)
-
-    @classmethod
-    def from_table(
-        cls, table: Table, scene: Scene, names: Mapping[str, str] | None = None, y_down: bool = False,
-        impacts: ArrayLike | None = None, torque: str = "held",
-    ) -> Recording:  # fmt: skip
-        """:meth:`from_frame` of a :class:`jackbox_env.fits.tables.Table`."""
+        table = (columns if isinstance(columns, Table) else table_of(columns))._replace(
+            scale=None if scale is None else check.real("scale", scale, above=0.0)
+        )
         heard = None if impacts is None else _finite("impacts", impacts)
         arguments, notes = evened(table, scene, names, y_down, heard, torque)
         try:
@@ -137,13 +137,6 @@ class Recording:
             raise ValueError(f"{table.source.removesuffix(', ')}: {error}" if table.source else str(error)) from error
         recording.notes = notes
         return recording
-
-    def without(self, rows: Collection[int]) -> Recording:
-        """This recording, but nothing of the jack observed in some rows."""
-        states = self.states.copy()
-        states[list(rows), X_JACK:RATES] = np.nan
-        states[list(rows), VX_JACK:] = np.nan
-        return Recording(states, self.torques, self.dt, self.time, self.impacts)
 
 
 def _finite(name: str, values: Any) -> Array:
@@ -210,5 +203,4 @@ def _third_differences(values: Array) -> Array:
     four = np.lib.stride_tricks.sliding_window_view(rows, 4).astype(np.float64)
     weights = 1.0 / np.prod(four[:, :, None] - four[:, None, :] + np.eye(4), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    differences: Array = (weights * np.lib.stride_tricks.sliding_window_view(values[rows], 4)).sum(axis=1)
-    return differences
+    return np.asarray((weights * np.lib.stride_tricks.sliding_window_view(values[rows], 4)).sum(axis=1))

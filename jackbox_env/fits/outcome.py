@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
 from jackbox_env.exact.tangents import FIELDS
 from jackbox_env.fits.faults import FAULTS, spoilt
-from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Chain, Rows
+from jackbox_env.fits.least_squares import FARTHEST, LINK, UNHEARD, WIDTH, Chain, Rows
 from jackbox_env.fits.observed import IMPACT, looks_smoothed, pushed
 from jackbox_env.fits.residuals import (
     autocorrelations,
@@ -23,7 +24,6 @@ from jackbox_env.fits.search import LINK_SLACKS, MOST_SKIPPED, Search, link
 from jackbox_env.fits.shooting import Parameters, Shooting
 from jackbox_env.model.mechanics import contacts_of
 from jackbox_env.model.states import (
-    RATES,
     STATE_NAMES,
     STATE_UNITS,
     VX_JACK,
@@ -41,7 +41,6 @@ _MOST_CORRELATED = 4.5  # autocorrelation of white residuals, in standard deviat
 _WIDEST_JUMP = 0.01  # between linked windows, in standard deviations of the noise; below 1e-4 where a search ends
 _LEAST_FREE = 0.1  # variance of a residual that is used, over the noise's; less is what the start absorbs
 _UNKNOWN = 1e3  # standard deviation of numbers that a fit without held-out windows does not identify
-_FAR = 6.0  # standard deviations of a row that is bad
 _NEAR = 0.05  # half widths of a foot that may rest on a wall; no higher bounce piles up
 _MOST_BAD = 0.05  # share of such rows, at most
 _MASSES = {"box_mass", "box_inertia", "jack_mass", "jack_inertia"}
@@ -62,22 +61,29 @@ def outcome_of(search: Search, ended: bool) -> Fit:
     freedom = search.free_share(rows) * estimated.sum() if estimated.any() else 1e9
     half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance)) * max(1.0, away / _USUAL)
     half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
-    least = np.where(parameters.logarithmic, -np.inf, 0.0)
-    most = np.where(parameters.logarithmic, np.inf, parameters.high)
+    logarithmic = parameters.logarithmic
+    least, most = np.where(logarithmic, -np.inf, 0.0), np.where(logarithmic, np.inf, parameters.high)
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
     states = search.motions()
-    unknown = [unidentified_sentence(parameters.fields, row, parameters.logarithmic) for row in unidentified]
+    unknown = [unidentified_sentence(parameters.fields, row, logarithmic) for row in unidentified]
     known = {name for name, half_width in zip(parameters.fields, half_widths, strict=True) if np.isfinite(half_width)}
     if known & _MASSES and not any(pushed(one, parameters.start) for one in search.recordings):
-        others = "without a torque or a force on the box only ratios of masses are known"
-        unknown.append(f"{others}: {' and '.join(sorted(known & _MASSES))} by those that are given")
-    problems = ["the recordings identify none of the fields"] * (not known)
-    problems += ["the search did not end"] * (not ended)
-    if away > _MOST_CONTRADICTED:
-        wrong = f"{name}, or something else that is not fitted, is wrong"
-        problems.append(f"{wrong}: another value would fit better by {away:.1f} standard deviations")
+        unknown.append(
+            "without a torque or a force on the box only ratios of masses are known: "
+            f"{' and '.join(sorted(known & _MASSES))} by those that are given"
+        )
     residuals = _held_out_residuals(search)
-    problems += _problems(search, rows, residuals)
+    judged = [
+        (not known, "the recordings identify none of the fields"),
+        (not ended, "the search did not end"),
+        (
+            away > _MOST_CONTRADICTED,
+            f"{name}, or something else that is not fitted, is wrong: another value would fit better by {away:.1f} "
+            "standard deviations",
+        ),
+        *_judged(search, rows, residuals),
+    ]
+    problems = [sentence for wrong, sentence in judged if wrong]
     if problems and looks_smoothed(search.recordings):
         problems.insert(0, "the track looks smoothed: fit what was measured")
     return Fit(
@@ -89,39 +95,40 @@ def outcome_of(search: Search, ended: bool) -> Fit:
         states,
         sum(int(np.isnan(one[1:, X_JACK]).sum()) for one in states),
         tuple(problems),
-        tuple(_bad_row_sentences(search)),
+        tuple(chain.from_iterable(_bad_rows(search))),
         sum(_not_followed(search)),
     )
 
 
-def _problems(search: Search, rows: Rows, held_out: Array) -> Iterator[str]:
-    """What in the last rows is a reason not to trust the intervals, in sentences."""
-    if {*np.unique(rows.column[rows.column >= 0])} <= _PLACE:
-        yield "nothing but the jack's place was observed, with which other motions may agree as well"
-    gaps = LINK_SLACKS[-1] * abs(rows.residuals[rows.column == LINK])
-    if (gaps > _WIDEST_JUMP).any():
-        yield f"links between windows are open, by up to {gaps.max():.2g} of the noise: the motion jumps"
-    misfits, unheard = int(misfitting(rows, len(search.windows)).sum()), int((rows.column == UNHEARD).sum())
-    if misfits:
-        yield f"{misfits} of {len(search.windows)} windows do not fit within the noise"
-    if unheard:
-        yield f"the fitted motion lacks {unheard} of the impacts that were heard"
-    names = *STATE_NAMES, IMPACT, "all numbers together"
-    correlated = [name for name, value in zip(names, autocorrelations(rows), strict=True) if value > _MOST_CORRELATED]
-    if correlated:
-        yield f"residuals of {', '.join(correlated)} are correlated in time: something that is not fitted is wrong"
-    for bad, one in zip(search.bad_rows, search.recordings, strict=True):
-        if len(bad) > _MOST_BAD * len(one.states):
-            yield f"{len(bad)} of {len(one.states)} rows are off the jack's path: no camera's single bad frames"
-    for number, (one, seconds) in enumerate(zip(search.recordings, _not_followed(search), strict=True)):
+def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool, str]]:
+    """Reasons not to trust the intervals, each whether it holds and in a sentence."""
+    columns, count = rows.column[rows.column >= 0], len(search.windows)
+    yield {*columns} <= _PLACE, "nothing but the jack's place was observed, with which other motions may agree as well"
+    gap = LINK_SLACKS[-1] * float(abs(rows.residuals[rows.column == LINK]).max(initial=0.0))
+    yield gap > _WIDEST_JUMP, f"links between windows are open, by up to {gap:.2g} of the noise: the motion jumps"
+    misfits, unheard = int(misfitting(rows, count).sum()), int((rows.column == UNHEARD).sum())
+    yield misfits > 0, f"{misfits} of {count} windows do not fit within the noise"
+    yield unheard > 0, f"the fitted motion lacks {unheard} of the impacts that were heard"
+    names = zip((*STATE_NAMES, IMPACT, "all numbers together"), autocorrelations(rows), strict=True)
+    correlated = ", ".join(name for name, value in names if value > _MOST_CORRELATED)
+    yield (
+        bool(correlated),
+        f"residuals of {correlated} are correlated in time: something that is not fitted is wrong",
+    )
+    for number, (one, bad) in enumerate(zip(search.recordings, _bad_rows(search), strict=True)):
+        yield (
+            len(bad) > _MOST_BAD * len(one.states),
+            f"{len(bad)} of {len(one.states)} rows are off the fitted path: no camera's single bad frames",
+        )
         covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
-        if not covered:
-            yield f"no part of recording {number} agrees with the scene"
-        elif seconds > MOST_SKIPPED * covered:
-            where = f" of recording {number}" * (len(search.recordings) > 1)
-            yield f"the jack moves in {seconds:.2g} s{where} that the scene does not explain"
-    if len(held_out) and not np.mean(held_out**2) < highest_mean_square(len(held_out)):
-        yield "windows that were held out do not fit within the noise"
+        yield not covered, f"no part of recording {number} agrees with the scene"
+        seconds, where = _not_followed(search)[number], f" of recording {number}" * (len(search.recordings) > 1)
+        yield (
+            seconds > MOST_SKIPPED * covered > 0.0,
+            f"the jack moves in {seconds:.2g} s{where} that the scene does not explain",
+        )
+    fits = not len(held_out) or np.mean(held_out**2) < highest_mean_square(len(held_out))
+    yield not fits, "windows that were held out do not fit within the noise"
 
 
 def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
@@ -152,28 +159,38 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
     return names[furthest], float(moves[furthest])
 
 
-def _bad_row_sentences(search: Search) -> Iterator[str]:
-    """The rows that were left out, and how far the jack is off; not rows in which it is on no or on the fitted path."""
-    for number, (rows, states) in enumerate(zip(search.bad_rows, search.motions(), strict=True)):
-        off = abs(search.recorded[number].states - states)[:, X_JACK:RATES]
-        away, recording = off / search.noise[X_JACK:RATES], f" of recording {number}" * (len(search.bad_rows) > 1)
-        for row in sorted(rows):
-            if (away[row] > _FAR).any():
-                column = X_JACK + int(np.nanargmax(away[row]))
-                text = f"{STATE_NAMES[column]} is {off[row, column - X_JACK]:.2g} {STATE_UNITS[column]} off"
-                yield f"row {row}{recording}: {text}"
+def _bad_rows(search: Search) -> list[list[str]]:
+    """By recording the rows of windows with a number that was discounted, each in a sentence."""
+    sentences = list[list[str]]()
+    for number, (recording, modelled) in enumerate(zip(search.recordings, search.motions(), strict=True)):
+        off, of = abs(recording.states - modelled), f" of recording {number}" * (len(search.recordings) > 1)
+        away = np.nan_to_num(off / search.noise[:12])
+        worst = zip(range(len(away)), away.argmax(axis=1).tolist(), strict=True)
+        sentences.append(
+            [
+                f"row {row}{of}: {STATE_NAMES[column]} is {off[row, column]:.2g} {STATE_UNITS[column]} off"
+                for row, column in worst
+                if away[row, column] > FARTHEST
+            ]
+        )
+    return sentences
 
 
 def _not_followed(search: Search) -> list[float]:
-    """By recording the time in which the jack moves, but in no window [s]."""
+    """By recording the time in which the jack moves, but in no window [s].
+
+    It does where no foot is near a wall; where the box was not seen, in what looks like a flight.
+    """
     seconds, scene = list[float](), search.parameters.scene(search.numbers)
     for modelled, recording, flights in zip(search.motions(), search.recordings, search.flights, strict=True):
         walls, feet = np.divmod(np.arange(16 * len(modelled)) % 16, 4)
         gaps = contacts_of(scene, np.repeat(recording.states, 16, axis=0), walls, feet)[0].reshape(-1, 16).min(axis=1)
-        near = _NEAR * scene.box_half_width + _FAR * search.noise[X_JACK]
-        moving = ~(gaps <= near) if flights is None else gaps > near  # where it is not known: as if it moved, or not
-        for first, last in flights.flown if flights else ():
-            moving[first + 1 : last + 1] = True
+        near = _NEAR * scene.box_half_width + FARTHEST * search.noise[X_JACK]
+        flies = np.full(len(gaps), flights is None)
+        if flights is not None:
+            for first, last in zip(flights.first[flights.lasting], flights.last[flights.lasting], strict=True):
+                flies[first : last + 1] = True
+        moving = np.where(np.isfinite(gaps), gaps > near, flies)
         seconds.append(float((np.isnan(modelled[:, X_JACK]) & moving)[1:].sum()) * recording.dt)
     return seconds
 
@@ -208,5 +225,4 @@ def studentised(rows: Rows, covariance: Array) -> Array:
     jacobian = jacobian - basis @ (basis.T @ jacobian)
     variance = 1.0 - (basis**2).sum(axis=1) + np.einsum("if,fg,ig->i", jacobian, covariance, jacobian)
     usable = (rows.column >= 0) & (variance > _LEAST_FREE)
-    result: Array = -rows.residuals[usable] / np.sqrt(variance[usable])
-    return result
+    return np.asarray(-rows.residuals[usable] / np.sqrt(variance[usable]))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jackbox_env.fits.least_squares import UNIDENTIFIABLE, Chain, Rows
+from jackbox_env.fits.least_squares import FAR, FARTHEST, UNIDENTIFIABLE, Chain, Rows
 from jackbox_env.model.states import Array
 
 _LAGS = 4  # rows, up to which residuals are compared
@@ -24,15 +24,19 @@ def highest_mean_square(count: int) -> float:
     return 1.5 + 9.0 / math.sqrt(count)
 
 
+def squares(rows: Rows) -> Array:
+    """Squares of residuals; all that was discounted as if it was least far, so that a window may have a bad row."""
+    return np.where(rows.column == FAR, FARTHEST**2, rows.residuals**2)
+
+
 def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
     """The windows that do not fit, shape (windows,): their mean square residual is far above that of most."""
-    seen = rows.column >= 0
+    seen = (rows.column >= 0) | (rows.column == FAR)
     counts = np.bincount(rows.window[seen], minlength=windows)
-    square = np.bincount(rows.window[seen], rows.residuals[seen] ** 2, windows) / np.maximum(counts, 1)
+    square = np.bincount(rows.window[seen], squares(rows)[seen], windows) / np.maximum(counts, 1)
     most = np.array([highest_mean_square(count) if count else np.inf for count in counts.tolist()])
     usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
-    misfits: NDArray[np.bool_] = square > most * usual
-    return misfits
+    return np.asarray(square > most * usual)
 
 
 def autocorrelations(rows: Rows) -> Array:
@@ -50,8 +54,7 @@ def autocorrelations(rows: Rows) -> Array:
             sums[column] += (residuals[lag:] * residuals[:-lag])[together].sum()
             counts[column] += together.sum()
     sums[13], counts[13] = sums.sum(), counts.sum()
-    deviations: Array = sums / np.sqrt(np.maximum(counts, 1.0))
-    return deviations
+    return np.asarray(sums / np.sqrt(np.maximum(counts, 1.0)))
 
 
 def identified(chain: Chain) -> tuple[Array, Array]:

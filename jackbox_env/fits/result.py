@@ -32,8 +32,8 @@ class Fit:
         problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
             ended and identified a field, the motion does not jump, every window fits within the noise, the residuals
             are white, and no other value of what is not fitted would fit better.
-        bad_rows: rows in which nothing of the jack was used, each in a sentence: "row 133: x_jack is 0.05 m off". More
-            than 5 % of a recording are a problem.
+        bad_rows: rows with a number that is more than 5 standard deviations off, and is discounted, each in a sentence:
+            "row 133: x_jack is 0.05 m off". More than 5 % of a recording are a problem.
         unexplained: time of these steps in which the jack flies, but the scene does not explain how [s].
     """
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jackbox_env.fits.first_guess import flights_of, spikes_of
-from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
+from jackbox_env.fits.first_guess import flights_of
+from jackbox_env.fits.least_squares import FAR, WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
-from jackbox_env.fits.residuals import highest_mean_square, misfitting
+from jackbox_env.fits.residuals import highest_mean_square, misfitting, squares
 from jackbox_env.fits.shooting import Parameters, Shooting, Window, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
@@ -30,7 +30,7 @@ _MOST_STEPS = 30  # of a search from near its end; windows that need more block 
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
 # They take about as long as the recordings; most fits that converge need a third.
 _MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 1.5e4, 200, 4.0, 3
-MOST_SKIPPED = 0.2  # steps that could not be followed, over the steps in windows
+MOST_SKIPPED = 0.5  # time in which the jack moves unexplained, over the time in windows
 
 
 class Search:
@@ -40,15 +40,13 @@ class Search:
         seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
         # Steps that may still be evaluated.
         self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
-        self.recorded, self.parameters, self.known_noise = recordings, parameters, known_noise
+        self.recordings, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self.units, 1.0))
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
-        self.bad_rows = [spikes_of(one, parameters.start, self.noise) for one in recordings]
-        self.recordings = [one.without(rows) for one, rows in zip(recordings, self.bad_rows, strict=True)]
         self.flights = [  # which need gravity
             None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
-            for one in self.recordings
+            for one in recordings
         ]
         self.windows: list[Window] = []
         self.left_out: list[Window] = []  # that the model does not explain
@@ -162,8 +160,8 @@ class Search:
 
 def _explained(rows: Rows, window: int) -> bool:
     """Whether a window fits within the noise."""
-    residuals = rows.residuals[(rows.window == window) & (rows.column >= 0)]
-    return not len(residuals) or float(np.mean(residuals**2)) < highest_mean_square(len(residuals))
+    square = squares(rows)[(rows.window == window) & ((rows.column >= 0) | (rows.column == FAR))]
+    return not len(square) or float(square.mean()) < highest_mean_square(len(square))
 
 
 def link(windows: list[Window]) -> None:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jackbox_env.fits.least_squares import LINK, UNHEARD, WIDTH, Indices, Rows
+from jackbox_env.fits.least_squares import FAR, FARTHEST, LINK, UNHEARD, WIDTH, Indices, Rows
 from jackbox_env.fits.observed import Recording
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.states import Array
@@ -161,8 +161,7 @@ def _played(
 
 def motion(recording: Recording, window: Window, parameters: Parameters, numbers: Array) -> WindowMotion | None:
     """The motion of a window from its start; None if the model cannot follow it."""
-    played = _played(recording, [window], parameters, numbers)
-    return None if played is None else played[0]
+    return next(iter(_played(recording, [window], parameters, numbers) or ()), None)
 
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
@@ -240,7 +239,11 @@ class Shooting:
         observed = recording.states[window.first : until]
         row, column = np.nonzero(np.isfinite(observed))
         off = (modelled.states[row, column] - observed[row, column]) / noise[column]
-        jacobian = modelled.jacobians[row, column] / noise[column, None]
+        away = np.maximum(abs(off), FARTHEST)
+        least = FARTHEST * np.sqrt(1.0 + 2.0 * np.log(away / FARTHEST))  # a robust loss; itself up to the farthest
+        slopes = FARTHEST**2 / (away * least)
+        off, jacobian = off * least / away, modelled.jacobians[row, column] * (slopes / noise[column])[:, None]
+        column = np.where(away > FARTHEST, FAR, column)
         if recording.impacts is not None:
             begin, end = (recording.time + step * recording.dt for step in (window.first, window.last))
             heard = recording.impacts[(recording.impacts >= begin) & (recording.impacts < end)]

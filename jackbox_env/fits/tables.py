@@ -14,13 +14,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jackbox_env.fits.text import DELIMITERS, KNOWN, NUMBER, OTHER_UNITS, VALUE, is_named, parts, plain, read_rows
+from jackbox_env.fits.text import (
+    DELIMITERS,
+    KNOWN,
+    NUMBER,
+    OTHER_UNITS,
+    PIXELS,
+    VALUE,
+    is_named,
+    parts,
+    plain,
+    read_rows,
+)
 from jackbox_env.model.states import STATE_NAMES, STATE_UNITS, Array
 from jackbox_env.tools import checks as check
 
 UNITS = {"time": "s", **dict(zip(STATE_NAMES, STATE_UNITS, strict=True)), "torque": "N m"}  # columns and their units
-# ISO 8601; a zone is left out.
-_MOMENT = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d{1,9})?)(?:Z|[-+]\d\d:?\d\d)?\s*", re.ASCII)
+# ISO 8601, whose zone is left out, or a clock's h:mm:ss.ff.
+_MOMENT = re.compile(
+    r"\s*(?:(\d{4}-\d\d-\d\d)[T ])?([01]?\d|2[0-3])(:[0-5]\d:[0-5]\d(?:\.\d{1,9})?)(?:Z|[-+]\d\d:?\d\d)?\s*", re.ASCII
+)
 _THOUSANDS = re.compile(r"[-+\u2212]?[1-9]\d{0,2}(,\d{3})+")
 
 
@@ -31,6 +44,7 @@ class Table(NamedTuple):
     source: str = ""  # a file and ", "
     lines: Sequence[int] | None = None  # of the text file, of each row
     at_line: int = 1  # of the headers
+    scale: float | None = None  # pixels per metre
 
     def at(self, row: int) -> str:
         """A row, in words."""
@@ -88,8 +102,10 @@ def read_table(path: Path, array: str, named: str = "time") -> Table:
     width = len(headers)
     for line, row in zip(lines, rows, strict=True):
         if len(row) < width or any(cell.strip() for cell in row[width:]):
-            needed = f"{width} cells like row {at_line}, with {DELIMITERS[delimiter]} between and points in numbers"
-            raise ValueError(f"{path}, row {line}: must have {needed}, got {len(row)}")
+            raise ValueError(
+                f"{path}, row {line}: must have {width} cells like row {at_line}, with {DELIMITERS[delimiter]} between "
+                f"and points in numbers, got {len(row)}"
+            )
     columns = zip(*(row[:width] for row in rows), strict=True) if rows else [()] * width
     return Table(list(zip(headers, columns, strict=True)), f"{path}, ", lines, at_line)
 
@@ -138,30 +154,47 @@ def in_si_units(
     """
     names = names or {}
     check.known_keys("names", names, units)
+    plainly = [parts(header)[0] for header, _ in table.columns]
+    numbered = [  # if there are several
+        f"{header} #{plainly[: n + 1].count(plainly[n])}" if plainly.count(plainly[n]) > 1 else header
+        for n, (header, _) in enumerate(table.columns)
+    ]
     chosen = dict[str, tuple[str, float, Any]]()
     for name, si in units.items():
         text = names.get(name, name)
-        found = [one for one in table.columns if name in names and one[0].strip() == text.strip()]
-        found = found or [one for one in table.columns if is_named(one[0], text)]
-        if len(found) > 1:
-            raise ValueError(f"{table.header()} {check.shown(found[1][0])} comes twice")
-        if not found and (name in names or name in needed):
-            listed = ", ".join(repr(header) for header, _ in table.columns) or "none"
-            which = f"{text!r}, which is to be {name}, must be one of {listed}"
-            which = which if name in names else f"{name} [{si}] must be one of {listed}"
-            raise ValueError(f"{table.header()} {which}")
+        found = _named(table, numbered, text, name in names)
         if found:
-            chosen[name] = found[0][0], _factor(table, found[0][0], text, si), found[0][1]
+            chosen[name] = found[0], _factor(table, found[0], text, si), found[1]
+        elif name in names or name in needed:
+            which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
+            listed = ", ".join(map(repr, numbered)) or "none"
+            raise ValueError(f"{table.header()} {which} must be one of {listed}")
+    if table.scale is not None and 1.0 / table.scale not in (factor for _, factor, _ in chosen.values()):
+        raise ValueError(f"{table.source}scale goes with columns in px, which no header has")
     decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
     columns = {
         name: factor * _numbers(table, header, values, decimal_commas, 1.0 / factor if units[name] == "s" else None)
         for name, (header, factor, values) in chosen.items()
     }
     if len({len(column) for column in columns.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
-        raise ValueError(f"{table.source}columns must have the same number of rows, got {lengths}")
-    used = {header for header, _, _ in chosen.values()}
-    return columns, tuple(header for header, _ in table.columns if header.strip() and header not in used)
+        raise ValueError(
+            f"{table.source}columns must have the same number of rows, got "
+            f"{', '.join(f'{name} {len(column)}' for name, column in columns.items())}"
+        )
+    others = (one for one in table.columns if not any(one[1] is values for _, _, values in chosen.values()))
+    return columns, tuple(header for header, _ in others if header.strip())
+
+
+def _named(table: Table, numbered: Sequence[str], text: str, chosen: bool) -> tuple[str, Any] | None:
+    """The column of a name; None if there is none, ValueError if there are several. ``chosen``: not by its default."""
+    found = [one for one in table.columns if chosen and one[0].strip() == text.strip()]
+    found = found or [
+        one for one, also in zip(table.columns, numbered, strict=True) if is_named(one[0], text) or is_named(also, text)
+    ]
+    if len(found) > 1:
+        remedy = f"; choose one as {text} #1" * chosen
+        raise ValueError(f"{table.header()} {check.shown(found[1][0])} comes twice{remedy}")
+    return found[0] if found else None
 
 
 def _decimal_commas(table: Table, columns: Collection[Sequence[str]]) -> bool:
@@ -181,41 +214,38 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
 
     In a column of times, of which a ``second`` has so many units, moments and durations become numbers too.
     """
-    if table.lines is not None:
-        if second and values and all(map(_MOMENT.fullmatch, values)):
-            moments = [match[1] for match in map(_MOMENT.fullmatch, values) if match]
-            return _seconds(np.array(moments, dtype="datetime64[ns]")) * second
+    if table.lines is not None and second and values and all(map(_MOMENT.fullmatch, values)):
+        found = [match.groups() for match in map(_MOMENT.fullmatch, values) if match]
+        values = np.array([f"{day or '1970-01-01'}T{hour:0>2}{rest}" for day, hour, rest in found], "datetime64[ns]")
+    elif table.lines is not None:
         cells = [cell.strip().replace("\u2212", "-").replace("," * decimal_commas or ".", ".") for cell in values]
-        read = np.array([float(cell) if NUMBER.fullmatch(cell) and "," not in cell else math.nan for cell in cells])
-        for line, cell in enumerate(cells):
-            if math.isinf(read[line]) or "," in cell or not VALUE.fullmatch(cell):
-                what = f"must be a number or empty, got {check.shown(values[line].strip())}"
-                raise ValueError(f"{table.at(line)}, column {header}: {what}")
-        return read
+        for row, cell in enumerate(cells):
+            if "," in cell or not VALUE.fullmatch(cell):
+                raise ValueError(
+                    f"{table.at(row)}, column {header}: must be a number or empty, got "
+                    f"{check.shown(values[row].strip())}"
+                )
+        values = [float(cell) if NUMBER.fullmatch(cell) else math.nan for cell in cells]
     array = np.ma.filled(values.astype(np.float64), math.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
     try:
         if second and hasattr(next(iter(array), None), "timestamp"):  # with a zone
             array = np.array([one.timestamp() * second for one in array])
-        array = _seconds(array) * second if second and array.dtype.kind in "mM" else array
+        if second and array.dtype.kind in "mM":  # since 1970, or durations
+            array = (array - np.zeros((), array.dtype)) / np.timedelta64(1, "s") * second
         numbers = np.array(array, dtype=np.float64) if array.dtype.kind in "fiuO" else None
     except (TypeError, ValueError):  # an object that is no number
         numbers = None
     if numbers is None or numbers.ndim != 1:
         raise TypeError(f"{table.source}column {header!r} must be numbers, got {check.shown(values)}")
     if np.isinf(numbers).any():
-        row = np.isinf(numbers).argmax()
-        raise ValueError(f"{table.source}column {header!r} must be finite numbers or NaN, got inf in row {row}")
+        row = int(np.isinf(numbers).argmax())
+        raise ValueError(f"{table.at(row)}, column {header}: must be a finite number or NaN, got inf")
     return numbers
-
-
-def _seconds(moments: Any) -> Array:
-    """Moments since 1970, or durations [s]."""
-    return np.asarray((moments - np.zeros((), moments.dtype)) / np.timedelta64(1, "s"))
 
 
 def _factor(table: Table, header: str, name: str, si: str) -> float:
     """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore, or SI."""
-    factors = {si: 1.0, **OTHER_UNITS[si]}
+    factors = {si: 1.0, **OTHER_UNITS[si]} | ({PIXELS[si]: 1.0 / table.scale} if table.scale and si in PIXELS else {})
     known = {plain(one): factor for one, factor in factors.items()}
     of_name, of_header, ending = parts(name)[1], parts(header)[1], header.strip().rpartition("_")[2]
     of_name = None if header.strip() == name.strip() else of_name
@@ -223,8 +253,11 @@ def _factor(table: Table, header: str, name: str, si: str) -> float:
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {name!r}, chosen for it")
     unit = next(one for one in (of_name, of_header, ending if plain(ending) in known else si) if one is not None)
     if plain(unit) not in known:
-        allowed = ", ".join(factors)
-        raise ValueError(f"{table.header()} {check.shown(header)} must be in one of the units {allowed}, got {unit!r}")
+        scale = "; --scale (in Python scale=) gives pixels per metre" * (plain(unit) in PIXELS.values())
+        raise ValueError(
+            f"{table.header()} {check.shown(header)} must be in one of the units {', '.join(factors)}, got "
+            f"{unit!r}{scale}"
+        )
     return known[plain(unit)]
 
 

@@ -10,6 +10,7 @@ import io
 import math
 import re
 import unicodedata
+from itertools import zip_longest
 from pathlib import Path
 
 from jackbox_env.tools import checks as check
@@ -33,7 +34,16 @@ OTHER_UNITS = {  # in SI units, by the SI unit
         "seconds": 1.0,
         "milliseconds": 1e-3,
     },
-    "m": {"cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "meters": 1.0, "metres": 1.0, "microns": 1e-6},
+    "m": {
+        "cm": 1e-2,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "µm": 1e-6,
+        "meters": 1.0,
+        "metres": 1.0,
+        "micron": 1e-6,
+        "microns": 1e-6,
+    },
     "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
     "rad": {"deg": _DEGREE, "°": _DEGREE, "mrad": 1e-3, "degrees": _DEGREE, "radians": 1.0, "rev": _TURN},
     "rad/s": {"deg/s": _DEGREE, "°/s": _DEGREE, "rpm": _TURN / 60.0, "rev/s": _TURN},
@@ -44,8 +54,8 @@ OTHER_UNITS = {  # in SI units, by the SI unit
 def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[str]], str, int]:
     """Headers, the lines of the rows below and their cells, the delimiter, and the line of the headers.
 
-    The headers are the first row in which one is the one that is ``named``; what is above them is left out, and so are
-    comments and empty rows.
+    The headers are the first row in which one is the one that is ``named``, with the units of a row below. What is
+    above them is left out, and so are comments, empty rows, and the same headers again.
 
     Raises:
         OSError: the file cannot be read.
@@ -58,7 +68,13 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
             row = row[row[0] in ("#", "%") :]
             headers = [row[0].lstrip("#% "), *row[1:]]
             if any(is_named(header, named) for header in headers):
-                below = [(at, cells) for at, cells in rows[index + 1 :] if not _COMMENT.match(cells[0])]
+                below = [
+                    one for one in rows[index + 1 :] if not (_COMMENT.match(one[1][0]) or one[1] == rows[index][1])
+                ]
+                units = [cell.strip("[]() ") for cell in below[0][1]] if below else []
+                if KNOWN.intersection(map(plain, units)) and not any(map(NUMBER.fullmatch, units)):
+                    pairs = zip_longest(headers, units, fillvalue="")
+                    headers, below = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below[1:]
                 return headers, [at for at, _ in below], [cells for _, cells in below], delimiter, line
     needed = f"a row of headers, {named} among them, and rows of numbers below, got {check.shown(text[:60])}"
     raise ValueError(f"{path}: there must be {needed}; Recording.from_frame accepts what pandas reads")
@@ -100,7 +116,8 @@ def plain(unit: str) -> str:
     return bare.lower() if len(bare) > len("kN m") else bare
 
 
-KNOWN = {plain(unit) for si, others in OTHER_UNITS.items() for unit in (si, *others)}
+PIXELS = {"m": "px", "m/s": "px/s"}  # of a table with a scale
+KNOWN = {plain(unit) for si, others in OTHER_UNITS.items() for unit in (si, *others)} | {*PIXELS.values()}
 
 
 def parts(header: str) -> tuple[str, str | None]:

@@ -20,8 +20,7 @@ def torques_between(samples: Array, kind: str) -> Array:
     first, last = (rises, rises) if kind == "linear" else (slopes[:-1], slopes[1:])
     u = np.linspace(0.0, 1.0, _PARTS + 1)
     integrals = u - u**3 + u**4 / 2, u**3 - u**4 / 2, u**2 / 2 - 2 * u**3 / 3 + u**4 / 4, u**4 / 4 - u**3 / 3
-    means: Array = np.column_stack([samples[:-1], samples[1:], first, last]) @ (_PARTS * np.diff(integrals))
-    return means
+    return np.asarray(np.column_stack([samples[:-1], samples[1:], first, last]) @ (_PARTS * np.diff(integrals)))
 
 
 def without_gaps(samples: Array, rows: Array) -> Array:

@@ -45,10 +45,8 @@ def go_on(search: Search) -> None:
 
 def _appended(search: Search, chain: list[Window], window: Window) -> bool:
     """Append a window to others, linked if it follows, if a fit of them explains it; return whether it does."""
-    before = chain[-1:]
-    for one in before:
-        one.linked = (one.recording, one.last) == (window.recording, window.first)
     chain.append(window)
+    link(chain)
     few = len({*map(id, [*search.windows, *chain])}) <= BLOCK
     start, steps = window.start, window.last - window.first
     for share in _SHARES:
@@ -57,8 +55,7 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
             return True
     window.last = window.first + steps
     del chain[-1]
-    for one in before:
-        one.linked = False
+    link(chain)
     return False
 
 

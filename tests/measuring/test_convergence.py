@@ -170,9 +170,10 @@ def test_a_fit_arrives_from_far_away_past_bad_rows_and_names_them() -> None:
     assert fitted.scene.restitution == pytest.approx(LAB.restitution, abs=0.005)
     assert any(sentence.startswith("row 43: x_jack is 0.05") for sentence in fitted.bad_rows), fitted.bad_rows
     assert len(fitted.bad_rows) <= 3
-    recording.states[rows[::2], 3:6] = 0.1  # 10 rows
-    problems = fit(recording, FIELDS, LAB).problems
-    assert any("rows are off the jack's path" in problem for problem in problems), problems
+    recording.states[rows[::3], 3:6] = 0.1  # 7 rows
+    fitted = fit(recording, FIELDS, LAB)
+    assert any("rows are off the fitted path" in problem for problem in fitted.problems), fitted.problems
+    assert fitted.left_out < 10  # a discounted number keeps no window from being explained
 
 
 def test_impacts_that_determine_only_some_fields_lead_to_all() -> None:
@@ -192,7 +193,7 @@ def test_a_fit_goes_through_rest_and_stays_where_the_start_is_true() -> None:
         assert fitted.unexplained < 0.1
         assert fitted.scene.jack_mass == pytest.approx(lossy.jack_mass, rel=0.02)
         assert fitted.scene.restitution == pytest.approx(lossy.restitution, abs=0.01)
-    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=2e-3)
+    assert fits[0].scene.jack_mass == pytest.approx(fits[1].scene.jack_mass, rel=1e-5)
 
 
 def test_a_recording_of_which_nothing_agrees_is_a_problem_and_counts_no_window_twice() -> None:

@@ -53,11 +53,17 @@ def test_a_right_recording_of_a_motor_and_a_smoothed_one(turned: Recording) -> N
 
 
 def test_time_in_which_no_foot_is_near_a_wall_is_no_rest() -> None:
-    recording = spoilt(filmed(LAB, 3.0), FAULTS[0], 0.05)
+    recording = spoilt(filmed(LAB, 3.0), FAULTS[0], 0.1)
     fitted = fit(recording, FIELDS, LAB)
     left_out = np.nan_to_num(recording.states[np.isnan(fitted.motions[0][:, 3])])
     flown = sum(gaps(LAB, state).min() > 0.08 * LAB.box_half_width for state in left_out)
     assert 5 < flown < fitted.unexplained * RATE + 2
+
+
+def test_flight_is_no_rest_where_the_box_was_not_seen() -> None:
+    _, start, fields, recording = recorded_by_people(15, verdict=True)
+    assert np.isnan(recording.states[:, :2]).all()
+    assert fit(recording, fields, start).unexplained > 0.5  # of 2.2 s that are left out; 0.3 s by the box that is seen
 
 
 def test_a_converged_fit_of_few_impacts_does_not_depend_on_one_that_was_followed_wrongly() -> None:

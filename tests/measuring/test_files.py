@@ -34,6 +34,7 @@ class Case(NamedTuple):
     frames: int = 3
     refused: str = ""  # the sentence
     scene: Scene = STILL
+    scale: float | None = None  # pixels per metre
 
 
 def left_out(headers: str) -> str:
@@ -89,17 +90,22 @@ CASES = [
     Case("preamble.csv", TORQUES, notes=(above(5),)),
     Case("labview.lvm", columns="time=X_Value", notes=(above(5), left_out("Comment"))),
     Case("labview_long.lvm", columns="time=X_Value", refused="must have 3 cells like row 9, with tabs between"),
-    Case("optitrack.csv", columns="x_jack=Jack X", refused="'Jack X', which is to be x_jack, must be one of 'Frame', "),
-    Case("vicon.csv", columns="x_jack=jack:m1 X", refused="must be one of 'Frame', 'Time', 'X', 'Y', 'X', 'Y'"),
-    Case("trackmate.csv", columns="time=T,x_jack=X", refused="row 3, column T: must be a number or empty, got 'T'"),
+    Case("optitrack.csv", columns="x_jack=X #2", notes=(above(7), left_out("Frame, X, Y, Y"))),
+    Case(
+        "optitrack.csv", columns="x_jack=Jack X", refused="must be one of 'Frame', 'Time (Seconds)', 'X #1', 'Y #1', "
+    ),
+    Case("vicon.csv", columns="x_jack=X #1", notes=(above(4), left_out("Frame, Y [mm], X [mm], Y [mm]"))),
+    Case("trackmate.csv", columns="time=T,x_jack=X", notes=(above(2), left_out("Label, Quality [quality]"))),
+    Case("row_names_tabs.txt", refused="row 2: must have 2 cells like row 1, with tabs between and points in numbers"),
     Case("r_write_table.txt", refused="row 2: must have 2 cells like row 1, with spaces between and points in numbers"),
     Case("markdown.md", refused="must be a number or empty, got ':-----'"),
-    Case("second_run_longer.csv", refused="row 7, column time: must be a number or empty, got 'time'"),
-    Case("two_runs.csv", refused="row 5, column time: must be a number or empty, got 'time'"),
-    Case("units_row.csv", refused="row 2, column time: must be a number or empty, got '[ms]'"),
-    Case("units_row_bare.csv", refused="row 2, column time: must be a number or empty, got 'ms'"),
+    Case("second_run_longer.csv", refused="row 8, column time: must increase up to 1e+10 s, got 0 s after 0.4 s"),
+    Case("two_runs.csv", refused="row 6, column time: must increase up to 1e+10 s, got 0 s after 0.2 s"),
+    Case("units_row.csv", TORQUES),
+    Case("units_row_bare.csv", TORQUES),
     Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(above(2),)),
-    Case("tracker_two.txt", columns="time=t,x_jack=x", refused="row 3: column 'x' comes twice"),
+    Case("tracker_two.txt", columns="time=t,x_jack=x", refused="row 3: column 'x' comes twice; choose one as x #1"),
+    Case("tracker_two.txt", columns="time=t,x_jack=x #2", notes=(above(3), left_out("x, y, y"))),
     *(Case(file, refused=NO_HEADERS) for file in ("deeplabcut.csv", "page.csv", "lines.csv", "document.csv")),
     *(Case(file, refused=NO_HEADERS) for file in ("plotter.log", "monitor.log")),
     # Cells.
@@ -123,7 +129,7 @@ CASES = [
     Case("thousands_spaces.csv", refused="must be a number or empty, got '500"),
     Case("iso.csv", notes=(UNIX.format(1767607200),)),
     Case("underscore.csv", refused="row 3, column x_jack: must be a number or empty, got '1_0'"),
-    Case("clock.csv", refused="row 2, column time: must be a number or empty, got '12:00:00.0'"),
+    Case("clock.csv", states={"x_jack": [0.5, -0.25]}, frames=2),
     Case("not_available_first.csv", states={"x_jack": [math.nan, -0.25, 0.125]}),
     Case("division_first.csv", states={"x_jack": [math.nan, -0.25, 0.125]}),
     Case(
@@ -136,6 +142,12 @@ CASES = [
         "folded_jack.csv",
         states={"theta_jack": [math.radians(25 * k - 10) for k in range(20)]},
         notes=("theta_jack wraps: 3 jumps of half a turn were taken out",),
+        **FALL,
+    ),
+    Case(
+        "folded_cross.csv",
+        states={"theta_jack": [math.radians(25 * k - 10) for k in range(20)]},
+        notes=("theta_jack wraps: 5 jumps of a quarter turn were taken out",),
         **FALL,
     ),
     # Columns that are left out.
@@ -163,7 +175,7 @@ CASES = [
     Case(
         "word_in_parentheses.csv",
         columns=BALL,
-        refused="must be in one of the units m, cm, mm, um, µm, meters, metres, microns, got 'left'",
+        refused="must be in one of the units m, cm, mm, um, µm, meters, metres, micron, microns, got 'left'",
     ),
     Case("word_in_parentheses.csv", columns=f"{BALL} [m]"),
     Case("vernier.csv", columns="time=Latest: Time,x_jack=Latest: Position"),
@@ -171,7 +183,7 @@ CASES = [
     Case("two_units.csv", columns="x_jack=x", refused="row 1: column 'x (px)' comes twice"),
     Case(
         "empty_unit.csv",
-        refused="column 'x_jack []' must be in one of the units m, cm, mm, um, µm, meters, metres, microns, got ''",
+        refused="column 'x_jack []' must be in one of the units m, cm, mm, um, µm, meters, metres, micron, microns, g",
     ),
     Case("parentheses.csv", columns="x_jack=x_jack [cm]", refused="(mm)' has another unit than 'x_jack [cm]', chosen"),
     Case("parentheses.csv", TORQUES, columns="x_jack=x_jack [mm]"),
@@ -202,6 +214,27 @@ CASES = [
     Case("hours.csv", refused=DAYS.format("4.63e-06")),
     Case("days.csv", refused=DAYS.format("1.93e-07")),
     Case("minutes_unit.csv", states={}, **FALL),
+    Case("serial_days.csv", refused=DAYS.format("1.93e-07")),
+    Case(
+        "milliseconds.csv", refused="column time: time runs to 200 s in steps of 100 s, which must be at most 0.55 s: "
+    ),
+    Case("midnight.csv", refused="row 3, column time: must increase up to 1e+10 s, got 0 s after 86399.9 s"),
+    Case("timecode.csv", refused="row 2, column time: must be a number or empty, got '0:00:01:00'"),
+    # Positions, angles and rates in other units.
+    Case("pixels.csv", states=XY, scale=200.0, notes=(left_out("frame"),)),
+    Case("pixels.csv", refused="got 'px'; --scale (in Python scale=) gives pixels per metre"),
+    Case("millimetres.csv", refused="the jack is up to 500 m from the centre of a box of half width 6 m: are unit "),
+    Case(
+        "millimetres.csv",
+        columns="x_box=x_box [mm],x_jack=x_jack [mm]",
+        scale=200.0,
+        refused="scale goes with columns in ",
+    ),
+    Case(
+        "degrees.csv",
+        refused="column theta_jack: theta_jack changes by up to 348 rad from row to row, in 0.0167 s: deg",
+    ),
+    Case("rates_in_degrees.csv", refused="column omega_jack: is often above 108.5 rad/s: degrees?"),
     # Unix times.
     Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),)),
     Case("unix.csv", TORQUES, notes=(UNIX.format(1.7e9),), scene=Scene()),  # a chirp is replaced by the torques
@@ -226,7 +259,7 @@ CASES = [
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.file} {case.columns}{' refused' * bool(case.refused)}")
 def test_a_file_is_read_or_a_sentence_says_why_not(case: Case) -> None:
     def read() -> Recording:
-        return read_recording(FILES / case.file, case.scene, names=column_names(case.columns))
+        return read_recording(FILES / case.file, case.scene, names=column_names(case.columns), scale=case.scale)
 
     if case.refused:
         with pytest.raises(ValueError, match=r"^[^\n]*$") as refused:

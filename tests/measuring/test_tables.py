@@ -49,7 +49,7 @@ DAMAGED = {
 def refusal(path: Path) -> str:
     """The sentence that refuses a file; empty if it is read."""
     try:
-        Recording.from_table(read_table(path, "state"), Scene())
+        Recording.from_frame(read_table(path, "state"), Scene())
     except (TypeError, ValueError) as error:
         return str(error)
     return ""

@@ -186,7 +186,7 @@ COLUMNS = [
     Refusal(
         framed(columns={"time": [0.0, math.inf]}),
         ValueError,
-        "column 'time' must be finite numbers or NaN, got inf in row 1",
+        "row 1, column time: must be a finite number or NaN, got inf",
     ),
     Refusal(framed(columns={"x_jack": [0.0, 1.0]}), ValueError, "column time [s] must be one of 'x_jack'"),
     Refusal(
@@ -218,8 +218,11 @@ COLUMNS = [
     Refusal(
         framed(columns={"time": [0.0, 0.1], "jack_x (px)": [0.0, 1.0]}, names={"x_jack": "jack_x"}),
         ValueError,
-        "column 'jack_x (px)' must be in one of the units m, cm, mm, um, µm, meters, metres, microns, got 'px'",
+        "column 'jack_x (px)' must be in one of the units m, cm, mm, um, µm, meters, metres, micron, microns, got 'px'"
+        "; --scale (in Python scale=) gives pixels per metre",
     ),
+    Refusal(framed(scale=0.0), ValueError, "scale must be a finite number above 0, got 0.0"),
+    Refusal(framed(scale=100.0), ValueError, "scale goes with columns in px, which no header has"),
     Refusal(
         framed(columns={"time": [0.0, 0.1], "ball": [0.0, 1.0], "tau": [1.0, 1.0]}, names={"x_jack": "ball"}),
         ValueError,
