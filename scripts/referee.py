@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jackbox_env.fits.text import read_rows
-from jackbox_env.measure.accuracy import Case, pose_errors, prefix_errors
+from jackbox_env.measure.accuracy import Case, pose_errors
 from jackbox_env.mechanics import energy_of
 from jackbox_env.model.scene import Chirp, Scene
 from jackbox_env.model.states import (
@@ -36,6 +36,7 @@ from jackbox_env.simulators import Impact
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import ROOT, command_line
 from jackbox_env.tools.files import new_folder, write_json
+from scripts.studies.accuracy.comparing import prefix_errors
 
 STATES, IMPACTS = ("case", "time", *STATE_NAMES), ("case", "time", "wall", "foot")  # columns of the files
 TOLERANCE = 0.01  # [s]

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from agents.policies.icem import Plans, PlanSearch
 from agents.policies.network import SHIPPED
 from agents.policies.scripted import PLAIN, Actions, PolicyWithEnv, as_rows, state_of, torques
 from agents.policies.value import Value, ValuedSearch, read_value
 from jackbox_env import Scene, Task
 from jackbox_env.model.observation import BOUNDS
-from jackbox_env.planning.icem import Plans, PlanSearch
 from jackbox_env.tools import checks as check
 
 DECISION_INTERVAL = 0.1  # [s] that the settings here were tuned for
@@ -36,7 +36,7 @@ def decision_steps(control_dt: float) -> int:
 
 
 class Planner:
-    """A policy with Stable-Baselines3's ``predict`` that warm-starts its plans, by :mod:`jackbox_env.planning.icem`.
+    """A policy with Stable-Baselines3's ``predict`` that warm-starts its plans, by :mod:`agents.policies.icem`.
 
     It computes the state from the observation, so it plays on both contact models; on pymunk its model is not the
     environment's. It ignores side forces of the scene's drive. Its environment observes the ten numbers, and repeats a

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.policies.icem import PlanSearch
 from agents.policies.network import Layer, check_layers, outputs, read_with_layers
 from agents.settings import EnvSettings
 from jackbox_env import JackInBoxEnv, Scene
 from jackbox_env.model.observation import OBSERVATIONS
 from jackbox_env.model.states import Array
-from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.simulators.agent_functions import observed
 
 VALUE = "value.json"

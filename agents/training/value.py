@@ -18,13 +18,13 @@ import torch
 from torch import nn
 from tqdm import trange
 
+from agents.policies.icem import PlanSearch
 from agents.policies.network import Layer, write_with_layers
 from agents.policies.value import INPUTS, VALUE, Value, ValuedSearch
 from agents.settings import EnvSettings
 from agents.training.fitting import BATCH, CONTROL_DT, REPEAT, SCENE, epoch, inputs_and_goals, layers_of, starts
 from jackbox_env import Scene
 from jackbox_env.model.states import Array
-from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.tools.command_line import command_line
 
 COMMON: dict[str, Any] = {"repeat": REPEAT, "num_threads": 1}

@@ -141,27 +141,6 @@ def follow(simulator: Simulator, case: Case, inspect: Inspect | None = between) 
 # -- comparing --------------------------------------------------------------------------------------------------------
 
 
-def prefix_errors(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
-    """Errors of the impact times [s] over the longest common start of both, by wall and foot.
-
-    Impacts recorded at one time (a substep's end, two feet at once) have no order.
-    """
-    rest, errors = list(impacts), list[float]()
-    for number, expected in enumerate(reference):
-        index = number
-        while index < len(rest) and rest[index][1:3] != expected[1:3]:
-            index += 1
-            together = index < len(rest) and rest[index].time == rest[number].time
-            alike = index < len(reference) and reference[index].time == expected.time
-            if not (together or alike):
-                return errors
-        if index >= len(rest):
-            return errors
-        rest.insert(number, rest.pop(index))
-        errors.append(abs(rest[number].time - expected.time))
-    return errors
-
-
 def pose_errors(scene: Scene, states: Array, reference: Array) -> Array:
     """Pose errors [m], shape (n,), of states, shape (n, 12), from their references.
 

@@ -1,7 +1,7 @@
 """Rollouts: many sequences of torques played from many states, by the exact contact model.
 
-Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, which ``icem.py`` and
-``linearization.py`` call too. That runs ``exact/run.py`` on blocks of rows, on several threads.
+Users call ``rollout``. It checks its arguments and calls :func:`run_rollouts`, which ``linearization.py``
+and the planner of ``agents/`` call too. That runs ``exact/run.py`` on blocks of rows, on several threads.
 """
 
 from __future__ import annotations

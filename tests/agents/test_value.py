@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from agents.policies.icem import PlanSearch
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy, shipped_names
 from agents.policies.value import UNIT, Value, ValuedSearch
 from agents.settings import EnvSettings
 from jackbox_env import Scene
-from jackbox_env.planning.icem import PlanSearch
 from jackbox_env.simulators.agent_functions import observed
 from tests.agents.untrained import layers_for, states_in
 

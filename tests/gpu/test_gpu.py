@@ -17,13 +17,13 @@ import pytest
 import torch
 
 import jackbox_env
+from agents.policies.icem import PlanSearch
 from jackbox_env import Scene, State, Task
 from jackbox_env.gpu import device, ptx, row
 from jackbox_env.jit.compiler import intermediate_code, kinds_of
 from jackbox_env.model.scene import SceneNumbers
 from jackbox_env.model.tasks import TASKS
 from jackbox_env.planning import card
-from jackbox_env.planning.icem import PlanSearch
 from scripts.studies.speed import gpu
 from tests.gpu.translation import loaded
 

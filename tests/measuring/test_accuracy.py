@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jackbox_env import Impact, Scene, make_simulator
-from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors, prefix_errors
+from jackbox_env.measure.accuracy import Case, Course, at_ends, follow, pose_errors
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
 from jackbox_env.simulators.exact import UNSCORED, ExactSimulator, Scoring
 from jackbox_env.simulators.replay import flown
-from scripts.studies.accuracy.comparing import compare, reference_of, restarts
+from scripts.studies.accuracy.comparing import compare, prefix_errors, reference_of, restarts
 from tests.states import WEIGHTLESS, Array, at
 
 Hit = tuple[float, int, int]
