@@ -36,11 +36,12 @@ def list_touching(scene: SceneNumbers, memory: Workspace, resolution: float, wal
     contacts = memory.contacts
     frame = frame_of(memory.state)
     count = 0
-    for pair in range(16):
-        gap = gradient(scene, frame, pair // 4, pair % 4, contacts.gradients[count])
-        if gap <= resolution or pair == 4 * wall + foot:
-            contacts.pairs[count], contacts.gaps[count], contacts.impulses[count] = pair, gap, 0.0
-            count += 1
+    for k in range(4):
+        for i in range(4):
+            gap = gradient(scene, frame, k, i, contacts.gradients[count])
+            if gap <= resolution or (k == wall and i == foot):
+                contacts.pairs[count], contacts.gaps[count], contacts.impulses[count] = 4 * k + i, gap, 0.0
+                count += 1
     return count
 
 
