@@ -36,7 +36,6 @@ from jackbox_env.simulators import Impact
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import ROOT, command_line
 from jackbox_env.tools.files import new_folder, write_json
-from scripts.studies.accuracy.comparing import prefix_errors
 
 STATES, IMPACTS = ("case", "time", *STATE_NAMES), ("case", "time", "wall", "foot")  # columns of the files
 TOLERANCE = 0.01  # [s]
@@ -74,6 +73,27 @@ class Score(NamedTuple):
 
 
 # -- the reference -----------------------------------------------------------------------------------------------------
+
+
+def prefix_errors(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
+    """Errors of the impact times [s] over the longest common start of both, by wall and foot.
+
+    Impacts recorded at one time (a substep's end, two feet at once) have no order.
+    """
+    rest, errors = list(impacts), list[float]()
+    for number, expected in enumerate(reference):
+        index = number
+        while index < len(rest) and rest[index][1:3] != expected[1:3]:
+            index += 1
+            together = index < len(rest) and rest[index].time == rest[number].time
+            alike = index < len(reference) and reference[index].time == expected.time
+            if not (together or alike):
+                return errors
+        if index >= len(rest):
+            return errors
+        rest.insert(number, rest.pop(index))
+        errors.append(abs(rest[number].time - expected.time))
+    return errors
 
 
 def scene_of(record: dict[str, Any]) -> Scene:

@@ -13,7 +13,8 @@ from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators.base import JackLostError, StepResult
 from jackbox_env.simulators.exact import UNSCORED, ExactSimulator, Scoring
 from jackbox_env.simulators.replay import flown
-from scripts.studies.accuracy.comparing import compare, prefix_errors, reference_of, restarts
+from scripts.referee import prefix_errors
+from scripts.studies.accuracy.comparing import compare, reference_of, restarts
 from tests.states import WEIGHTLESS, Array, at
 
 Hit = tuple[float, int, int]

@@ -12,9 +12,9 @@ from jackbox_env.mechanics import energy, impact_map
 from jackbox_env.model.scene import Scene
 from jackbox_env.model.tasks import sample_start
 from jackbox_env.simulators import make_simulator
-from scripts.referee import reference
+from scripts.referee import prefix_errors, reference
 from scripts.studies import baselines
-from scripts.studies.accuracy.comparing import compare, prefix_errors, reference_of
+from scripts.studies.accuracy.comparing import compare, reference_of
 from scripts.studies.baselines.base import Baseline
 from scripts.studies.baselines.threshold import BAND, reflect
 from tests.states import WEIGHTLESS, one_foot_on_wall

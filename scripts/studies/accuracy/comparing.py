@@ -16,6 +16,7 @@ import numpy as np
 from jackbox_env.measure.accuracy import Case, Course, follow, pose_errors
 from jackbox_env.model.states import VX_JACK, VY_JACK, X_BOX, X_JACK, Array
 from jackbox_env.simulators import Impact, JackLostError, Simulator, make_simulator
+from scripts.referee import prefix_errors
 
 STEPS_PER_RESTART = 5  # control steps: 0.1 s by default
 _ASIDE = 1e-13  # by which the start of a reference's twin is moved, far off by 100 units in the last place [m]
@@ -46,27 +47,6 @@ class Restarts(NamedTuple):
     missed: int  # impacts of the reference that did not happen
     extra: int  # impacts that should not have happened
     impacts: int  # of the reference that could be missed
-
-
-def prefix_errors(impacts: Sequence[Impact], reference: Sequence[Impact]) -> list[float]:
-    """Errors of the impact times [s] over the longest common start of both, by wall and foot.
-
-    Impacts recorded at one time (a substep's end, two feet at once) have no order.
-    """
-    rest, errors = list(impacts), list[float]()
-    for number, expected in enumerate(reference):
-        index = number
-        while index < len(rest) and rest[index][1:3] != expected[1:3]:
-            index += 1
-            together = index < len(rest) and rest[index].time == rest[number].time
-            alike = index < len(reference) and reference[index].time == expected.time
-            if not (together or alike):
-                return errors
-        if index >= len(rest):
-            return errors
-        rest.insert(number, rest.pop(index))
-        errors.append(abs(rest[number].time - expected.time))
-    return errors
 
 
 def reference_of(case: Case) -> Reference:
