@@ -1,1 +1,1 @@
-"""Planning on the exact model: rollouts, a search among them, derivatives, and wrappers that use them."""
+"""Planning on the exact model: rollouts, derivatives, and wrappers that use them."""
