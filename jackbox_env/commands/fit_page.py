@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 UNITS = dict(zip(STATE_NAMES, STATE_UNITS, strict=True))
 _ROWS = 10  # that are listed as discounted
-_EDGE = 10.0  # of the noise: residuals are drawn no farther out, so that a row that was left out sets no scale
+_EDGE = 10.0  # of the noise: residuals are drawn no farther out, so that a bad row sets no scale
 _MOST_DOTS = 2000  # of a column; more are drawn as pixels
 _PAGE = """<!DOCTYPE html>
 <html lang="en">

@@ -115,7 +115,7 @@ def main() -> None:
     arguments.folder = arguments.folder or stamped("simulate")
     _refuse_impossible(arguments)
     scene, setting = Scene.of(chosen_scene(arguments.scene, arguments)), FIDELITIES[arguments.fidelity]
-    kind: Any = list if arguments.state.startswith("[") else dict
+    kind: Any = list if arguments.state.lstrip().startswith("[") else dict
     start = check.from_json("state", arguments.state, kind)
     motion = recorded(scene, setting, start, 0.0, arguments.seconds, arguments.dt, None, progress=True)
     folder = new_folder(arguments.folder, "simulate", lambda new: _write(new, arguments, motion))

@@ -101,7 +101,7 @@ def outcome_of(search: Search, ended: bool) -> Fit:
 
 
 def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool, str]]:
-    """Reasons not to trust the intervals, each whether it holds and in a sentence."""
+    """Possible reasons not to trust the intervals: whether each applies, and a sentence."""
     columns, count = rows.column[rows.column >= 0], len(search.windows)
     yield {*columns} <= _PLACE, "nothing but the jack's place was observed, with which other motions may agree as well"
     gap = LINK_SLACKS[-1] * float(abs(rows.residuals[rows.column == LINK]).max(initial=0.0))

@@ -159,29 +159,29 @@ def in_si_units(
         f"{header} #{plainly[: n + 1].count(plainly[n])}" if plainly.count(plainly[n]) > 1 else header
         for n, (header, _) in enumerate(table.columns)
     ]
-    chosen = dict[str, tuple[str, float, Any]]()
+    chosen = dict[str, tuple[str, float, bool, Any]]()
     for name, si in units.items():
         text = names.get(name, name)
         found = _named(table, numbered, text, name in names)
         if found:
-            chosen[name] = found[0], _factor(table, found[0], text, si), found[1]
+            chosen[name] = found[0], *_factor(table, found[0], text, si), found[1]
         elif name in names or name in needed:
             which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
             listed = ", ".join(map(repr, numbered)) or "none"
             raise ValueError(f"{table.header()} {which} must be one of {listed}")
-    if table.scale is not None and 1.0 / table.scale not in (factor for _, factor, _ in chosen.values()):
+    if table.scale is not None and not any(scaled for _, _, scaled, _ in chosen.values()):
         raise ValueError(f"{table.source}scale goes with columns in px, which no header has")
-    decimal_commas = table.lines is not None and _decimal_commas(table, [values for _, _, values in chosen.values()])
+    decimal_commas = table.lines is not None and _decimal_commas(table, [values for *_, values in chosen.values()])
     columns = {
         name: factor * _numbers(table, header, values, decimal_commas, 1.0 / factor if units[name] == "s" else None)
-        for name, (header, factor, values) in chosen.items()
+        for name, (header, factor, _, values) in chosen.items()
     }
     if len({len(column) for column in columns.values()}) > 1:
         raise ValueError(
             f"{table.source}columns must have the same number of rows, got "
             f"{', '.join(f'{name} {len(column)}' for name, column in columns.items())}"
         )
-    others = (one for one in table.columns if not any(one[1] is values for _, _, values in chosen.values()))
+    others = (one for one in table.columns if not any(one[1] is values for *_, values in chosen.values()))
     return columns, tuple(header for header, _ in others if header.strip())
 
 
@@ -243,8 +243,11 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
     return numbers
 
 
-def _factor(table: Table, header: str, name: str, si: str) -> float:
-    """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore, or SI."""
+def _factor(table: Table, header: str, name: str, si: str) -> tuple[float, bool]:
+    """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore, or SI.
+
+    Also whether it is in pixels.
+    """
     factors = {si: 1.0, **OTHER_UNITS[si]} | ({PIXELS[si]: 1.0 / table.scale} if table.scale and si in PIXELS else {})
     known = {plain(one): factor for one, factor in factors.items()}
     of_name, of_header, ending = parts(name)[1], parts(header)[1], header.strip().rpartition("_")[2]
@@ -258,7 +261,7 @@ def _factor(table: Table, header: str, name: str, si: str) -> float:
             f"{table.header()} {check.shown(header)} must be in one of the units {', '.join(factors)}, got "
             f"{unit!r}{scale}"
         )
-    return known[plain(unit)]
+    return known[plain(unit)], plain(unit) in PIXELS.values()
 
 
 def filled(table: Table, name: str, values: Array) -> Array:

@@ -67,7 +67,7 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
         for index, (line, row) in enumerate(rows):
             row = row[row[0] in ("#", "%") :]
             headers = [row[0].lstrip("#% "), *row[1:]]
-            if any(is_named(header, named) for header in headers):
+            if any(is_named(header, one) for header in headers for one in (named, re.sub(r" #\d+", "", named))):
                 below = [
                     one for one in rows[index + 1 :] if not (_COMMENT.match(one[1][0]) or one[1] == rows[index][1])
                 ]

@@ -2,8 +2,8 @@
 
 The camera follows the box's centre, so the box stays in the middle of the picture and turns there. Ruled lines fixed to
 the world move past it as it sinks. One foot of the jack has another colour, so that the cross visibly turns. A small
-frame has no text. Without the overlay a frame is box, jack and ruled lines alone. pygame is
-imported with this file and used off-screen: only the human mode opens a window.
+frame has no text. Without the overlay a frame is box, jack and ruled lines alone. pygame is imported with this file and
+used off-screen: only the human mode opens a window.
 
 Points in the frame and in the world are complex numbers; see `canvas.py` for those in the frame.
 """

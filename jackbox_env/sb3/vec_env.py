@@ -65,6 +65,10 @@ class JackInBoxVecEnv(VecEnv):
     """
 
     def __init__(self, num_envs: int, **env_kwargs: Any) -> None:
+        if "autoreset_mode" in env_kwargs:
+            raise TypeError(
+                "make_sb3_vec_env has no argument 'autoreset_mode': an episode that ends starts anew in its step"
+            )
         self.vector_env = JackInBoxVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
         self._with_infos = bool(env_kwargs.get("with_infos", False))
         self._views = [EnvView(self.vector_env, number, env_kwargs) for number in range(self.vector_env.num_envs)]
@@ -164,9 +168,7 @@ class JackInBoxVecEnv(VecEnv):
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Infos of arrays as a list with one info for each environment."""
-        if not self._with_infos:
-            return [{"duration": duration} for duration in infos["duration"].tolist()]
-        return _rows(infos)
+        return _rows(infos) if self._with_infos else [{"duration": one} for one in infos["duration"].tolist()]
 
     def close(self) -> None:
         """Close the renderers."""

@@ -217,8 +217,9 @@ def refuse_unknown(
                 if name in elsewhere:
                     raise TypeError(f"{owner} has no argument {name!r}: it {elsewhere[name]}")
                 if name not in names:
-                    listed = ", ".join(names)
-                    raise TypeError(f"{owner} has no argument {name!r}{closest(name, names)}: it accepts {listed}")
+                    raise TypeError(
+                        f"{owner} has no argument {name!r}{closest(name, names)}: it accepts {', '.join(names)}"
+                    )
             init(*args, **keywords)
 
         return checked

@@ -95,7 +95,7 @@ def bar(total: int, shown: bool, unit: str = "step") -> AbstractContextManager[A
 
     Nothing is written if it is not ``shown``, if standard error is no terminal, or if tqdm is not installed.
     """
-    if shown and importlib.util.find_spec("tqdm"):
+    if shown and sys.stderr is not None and importlib.util.find_spec("tqdm"):
         return importlib.import_module("tqdm").tqdm(total=total, unit=unit, leave=False, disable=None)  # type: ignore[no-any-return]
     return nullcontext(SimpleNamespace(update=lambda count: None))
 

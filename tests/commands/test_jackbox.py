@@ -13,7 +13,7 @@ import pytest
 
 from jackbox_env.simulators.base import StepResult
 from jackbox_env.simulators.exact import ExactSimulator
-from jackbox_env.tools.command_line import command_line
+from jackbox_env.tools.command_line import bar, command_line
 from jackbox_env.tools.files import new_file
 from tests.script import jackbox
 
@@ -100,3 +100,9 @@ def test_a_command_that_is_terminated_leaves_no_partial_file(tmp_path: Path) -> 
     with pytest.raises(SystemExit, match="143"):
         main()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bar_needs_no_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)  # as in Windows' pythonw
+    with bar(2, True) as moving:
+        moving.update(1)

@@ -35,7 +35,7 @@ def test_it_goes_on_from_its_last_row_with_a_foot_in_a_wall(tmp_path: Path) -> N
     with (tmp_path / "out" / "states.csv").open() as file:
         rows = [[float(cell) for cell in row[:13]] for row in list(csv.reader(file))[1:]]
     deep = next(row for row in rows if row[5] - row[2] < -5.0 - 1e-8)  # a foot is outside
-    run(tmp_path, "--seconds", "1", "--state", json.dumps(deep[1:]))
+    run(tmp_path, "--seconds", "1", "--state", f" {json.dumps(deep[1:])}")
     (again,) = (tmp_path / "runs").glob("simulate-*/states.csv")
     with again.open() as file:
         assert [float(cell) for cell in list(csv.reader(file))[1][1:13]] == deep[1:]

@@ -105,6 +105,7 @@ CASES = [
     Case("units_row_bare.csv", TORQUES),
     Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(above(2),)),
     Case("tracker_two.txt", columns="time=t,x_jack=x", refused="row 3: column 'x' comes twice; choose one as x #1"),
+    Case("time_twice.csv", columns="time=t #2", notes=(left_out("t"),)),
     Case("tracker_two.txt", columns="time=t,x_jack=x #2", notes=(above(3), left_out("x, y, y"))),
     *(Case(file, refused=NO_HEADERS) for file in ("deeplabcut.csv", "page.csv", "lines.csv", "document.csv")),
     *(Case(file, refused=NO_HEADERS) for file in ("plotter.log", "monitor.log")),

@@ -222,7 +222,10 @@ COLUMNS = [
         "; --scale (in Python scale=) gives pixels per metre",
     ),
     Refusal(framed(scale=0.0), ValueError, "scale must be a finite number above 0, got 0.0"),
-    Refusal(framed(scale=100.0), ValueError, "scale goes with columns in px, which no header has"),
+    *(  # whatever unit has this factor
+        Refusal(framed(scale=scale), ValueError, "scale goes with columns in px, which no header has")
+        for scale in (100.0, 1.0)
+    ),
     Refusal(
         framed(columns={"time": [0.0, 0.1], "ball": [0.0, 1.0], "tau": [1.0, 1.0]}, names={"x_jack": "ball"}),
         ValueError,

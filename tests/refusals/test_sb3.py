@@ -111,6 +111,11 @@ LEARNING = [
         "num_envs, ...",
     ),
     Refusal(
+        lambda _: make_sb3_vec_env(2, autoreset_mode="Disabled"),
+        TypeError,
+        "make_sb3_vec_env has no argument 'autoreset_mode': an episode that ends starts anew in its step",
+    ),
+    Refusal(
         lambda _: make_sb3_vec_env(1, max_episode_steps=126, action_repeat=4),
         ValueError,
         "max_episode_steps (shortens an episode of episode_steps=500) must be a whole number from 1 to 125, got 126",
