@@ -64,7 +64,8 @@ def ilqr(
 ) -> Improved:
     """Improve a plan of torques by derivatives of the exact model, until an iteration gains less than 0.001.
 
-    A local method: it polishes a plan, and it returns the plan itself if it cannot. Sampling finds plans.
+    A local method: it polishes a plan, and it returns the plan itself if it cannot.
+    Sampling finds plans, as ``agents/policies/icem.py`` does.
 
     >>> improved = ilqr(None, [0.0] * 9 + [1.0, 0.0, 0.0], [0.0] * 20, 0.02, repeat=5)
     >>> improved.value > improved.before, improved.torques.shape, improved.states.shape
