@@ -1,7 +1,6 @@
 """The Gymnasium environment: it sequences the simulator, the agent's functions and the renderer.
 
-A step is a decision: one or several control steps of the simulator, each under the action's torque and scored by the
-task; then an observation, and frames if they are shown. ``reference.py`` is the page about it.
+A step is a decision: control steps under the action's torque, each scored by the task; then an observation and frames.
 """
 
 from __future__ import annotations
