@@ -78,9 +78,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         terminalreporter.write_line(f"Skipped: {skipped}")
     seconds, cache = processor_seconds(), getattr(config, "cache", None)
     compiling = cache.get(COMPILING, 0.0) if cache else 0.0
-    if compiling and config.getoption("numprocesses", None):
-        line = f"{seconds:.0f} s of processor time, {seconds / compiling:.0f} times what compiling the exact model took"
-        terminalreporter.write_line(f"{line} ({compiling:.1f} s)")
+    if config.getoption("numprocesses", None):
+        line = f"{seconds:.0f} s of processor time"
+        if compiling:
+            line += f", {seconds / compiling:.0f} times what compiling the exact model took ({compiling:.1f} s)"
+        terminalreporter.write_line(line)
 
 
 @pytest.hookimpl(optionalhook=True)
