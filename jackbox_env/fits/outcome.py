@@ -115,14 +115,15 @@ def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool,
         bool(correlated),
         f"residuals of {correlated} are correlated in time: something that is not fitted is wrong",
     )
-    for number, (one, bad) in enumerate(zip(search.recordings, _bad_rows(search), strict=True)):
+    recorded = zip(search.recordings, _bad_rows(search), _not_followed(search), strict=True)
+    for number, (one, bad, seconds) in enumerate(recorded):
         yield (
             len(bad) > _MOST_BAD * len(one.states),
             f"{len(bad)} of {len(one.states)} rows are off the fitted path: no camera's single bad frames",
         )
         covered = one.dt * sum(window.last - window.first for window in search.windows if window.recording == number)
         yield not covered, f"no part of recording {number} agrees with the scene"
-        seconds, where = _not_followed(search)[number], f" of recording {number}" * (len(search.recordings) > 1)
+        where = f" of recording {number}" * (len(search.recordings) > 1)
         yield (
             seconds > MOST_SKIPPED * covered > 0.0,
             f"the jack moves in {seconds:.2g} s{where} that the scene does not explain",

@@ -148,6 +148,6 @@ def _convergence(matrix: list[list[float]]) -> float:
 def _iterations(factor: float) -> int:
     """The fewest iterations that reduce an error to rounding if each multiplies it by ``factor``, or too many."""
     count, error = 0, 1.0
-    while error > _ROUNDING and count <= _MOST_ITERATIONS:
+    while not error <= _ROUNDING and count <= _MOST_ITERATIONS:  # too many for a NaN
         count, error = count + 1, error * factor
     return count
