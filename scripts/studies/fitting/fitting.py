@@ -1,6 +1,6 @@
 """Write docs/fitting.md: how often the intervals of fits contain the truth, and what fits cost.
 
-900 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
+450 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
 the recordings of a camera.
 """
 
@@ -26,7 +26,7 @@ LENGTHS = "recording", "processor time", "memory", "width of the mass's interval
 
 def trials(arguments: study.Arguments) -> study.Trials:
     """All fits of the page, each a trial; the files at a rate are one."""
-    kinds = {"": 900} | {lab: 60 if wrong else 300 for lab, wrong in LABS.items()}
+    kinds = {"": 450} | {lab: 60 if wrong else 150 for lab, wrong in LABS.items()}
     fits: study.Trials = [
         {"part": "fits", "lab": lab, "seed": seed} for lab, count in kinds.items() for seed in range(count)
     ]
@@ -34,7 +34,7 @@ def trials(arguments: study.Arguments) -> study.Trials:
     people: study.Trials = [
         {"part": "people", "seed": seed, "verdict": True, "true_start": true_start, "wrong": wrong}
         for true_start, wrong, many in PEOPLE
-        for seed in range(400 if many else 60)
+        for seed in range(300 if many else 60)
     ]
     lengths = [{"part": "lengths", "seconds": seconds} for seconds in (4.0, 40.0, 400.0)]
     return [*fits, *files, *people, *lengths, {"part": "printed"}]
