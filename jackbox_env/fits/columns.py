@@ -30,7 +30,7 @@ from jackbox_env.model.states import (
 from jackbox_env.tools import checks as check
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
-_TURN, _LATEST = 2.0 * math.pi, 1e10  # [rad]; [s] of a row, Unix times are below
+_LATEST = 1e10  # [s] of a row, Unix times are below
 _USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
 _COARSE = 0.4  # of a step: rounding below leaves no doubt about missing frames
@@ -41,7 +41,7 @@ _FASTEST, _OFTEN = 10.0, 0.8  # v0, v0 / L or v0 / l, and the quantile of rates 
 _TORQUE = re.compile(  # in headers of torques; no momentum, and no place "in m"
     r"(?i:torque|(?<![a-z])tau|moment(?!um|a))|(?<![A-Za-z])[kM]?N[ ·*._-]?m{1,2}(?![A-Za-z])"
 )
-_LARGEST_STEP = 5.0 * _TURN  # from row to row
+_LARGEST_STEP = 5.0 * math.tau  # from row to row
 
 
 def evened(
@@ -93,8 +93,7 @@ def _states(columns: Mapping[str, Array], rows: Any, y_down: bool, notes: list[s
             values, jumps, turn = unwrapped(columns[name]) if name.startswith("theta") else (columns[name], 0, "")
             notes += [f"{name} wraps: {jumps} jumps of {turn} were taken out"] * bool(jumps)
             states[rows, index] = -values if y_down and index % 3 else values
-    lost = (states[:, X_JACK:THETA_JACK] == 0.0).all(axis=1)
-    lost[0] = False  # where a simulation may begin
+    lost = (states[:, X_JACK:THETA_JACK] == 0.0).all(axis=1) & (np.arange(len(states)) > 0)  # 0: a simulation's begin
     if 0 < lost.sum() < 0.5 * len(states):
         states[lost, X_JACK : THETA_JACK + 1] = np.nan
         notes.append(f"x_jack and y_jack are 0 in {lost.sum()} rows, as of lost frames, which are left open")
@@ -126,7 +125,7 @@ def unwrapped(angles: Array) -> tuple[Array, int, str]:
     """
     seen = np.isfinite(angles)
     values = angles[seen]
-    for turn, period in ("a quarter turn", 0.25 * _TURN), ("half a turn", 0.5 * _TURN), ("a turn", _TURN):
+    for turn, period in ("a quarter turn", 0.25 * math.tau), ("half a turn", 0.5 * math.tau), ("a turn", math.tau):
         jumps = int((abs(np.diff(values)) > 0.5 * period).sum())
         if len(values) and jumps and np.ptp(values) <= period * (1.0 + 1e-6):
             result = angles.copy()
@@ -139,8 +138,9 @@ def _frames(table: Table, times: Array, scene: Scene) -> tuple[Array, Any, float
     """Even times of the rows, the frame of each row, and the time between frames; ValueError if there are none."""
     filled(table, "time", times)
     if len(times) < 2:
-        row = table.lines[-1] if table.lines else 1
-        raise ValueError(f"{table.source}row {row}: there must be two rows of numbers at least")
+        raise ValueError(
+            f"{table.source}row {table.lines[-1] if table.lines else 1}: there must be two rows of numbers at least"
+        )
     steps = np.diff(times)
     wrong = (steps <= 0.0) | (np.maximum(abs(times[1:]), abs(times[:-1])) > _LATEST)
     if wrong.any():

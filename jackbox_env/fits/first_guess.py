@@ -196,9 +196,8 @@ def centre_of(recording: Recording, scene: Scene, flights: Flights, noise: Array
     begin = np.median(at[:, X_JACK : Y_JACK + 1], axis=0)
     prior = np.append(begin, [0.0, 0.0, ratio])
     widths = np.array([9.0 * size] * 2 + [9.0 * scene.speed_scale] * 2 + [2.0 * ratio])
-    rows.append(np.diag(1.0 / widths))
-    known.append(prior / widths)
-    return np.asarray(np.linalg.lstsq(np.concatenate(rows), np.concatenate(known), rcond=None)[0])
+    matrix, right = np.concatenate([*rows, np.diag(1.0 / widths)]), np.concatenate([*known, prior / widths])
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
 def starts_of(recording: Recording, scene: Scene, flights: Flights, centre: Array) -> Array:

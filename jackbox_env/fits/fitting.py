@@ -60,8 +60,7 @@ def fit(
     listed = isinstance(fields, Sequence) and not isinstance(fields, str)
     if not (listed and 0 < len({*map(str, fields)}) == len(fields)):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
-    for name in fields:
-        check.choice("a field", name, FIELDS)
+    check.known_keys("fields", fields, FIELDS)
     parameters = Parameters(fields, Scene.of(start))
     known = known_noise(noise)
     seen = sum(
@@ -80,11 +79,10 @@ def _fitted(search: Search) -> Fit:
     """Cut the recordings into windows, then fit all windows together."""
     cut_all(search)
     if not search.windows:
-        noise = ", or the noise, which may be larger than given" * bool(np.isfinite(search.known_noise).any())
         smooth = ", or the track, which looks smoothed" * looks_smoothed(search.recordings)
         raise ValueError(
-            "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive"
-            f"{noise}{smooth}, or whether the jack moves"
+            "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive, a noise "
+            f"that you gave{smooth}, or whether the jack moves"
         )
     for slack in (LINK_SLACKS[0], LINK_SLACKS[1], LINK_SLACKS[1]):
         search.settle(slack)

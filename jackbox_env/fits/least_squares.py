@@ -52,19 +52,6 @@ class Rows(NamedTuple):
         return int(self.jacobian.shape[1]) - 2 * WIDTH
 
 
-class Step(NamedTuple):
-    """A solution of the linear problem."""
-
-    fields: Array  # (F,)
-    starts: Array  # (windows, 12)
-    decrease: float  # of the sum of squares, predicted
-
-    @property
-    def unknowns(self) -> Array:
-        """The step of all unknowns, fields first, shape (F + 12 windows,)."""
-        return np.concatenate([self.fields, self.starts.ravel()])
-
-
 class Chain:
     """The rows of each window, compressed to triangles."""
 
@@ -83,13 +70,17 @@ class Chain:
         lengths = (rows.jacobian[seen, 2 * WIDTH :] ** 2).sum(axis=0)
         self._fields_lengths = lengths + 1e-4 * lengths.mean() if len(lengths) else lengths
 
-    def step(self, damping: float) -> Step:
-        """Minimise the squares of residuals and Jacobian times step, and ``damping`` times that of the scaled step."""
+    def step(self, damping: float) -> tuple[Array, float]:
+        """Minimise the squares of residuals and Jacobian times step, and ``damping`` times that of the scaled step.
+
+        The step of all unknowns, fields first, shape (F + 12 windows,), and the decrease of the squares by it.
+        """
         by_fields, starts, left = self._eliminate(damping)
-        step, every, start = by_fields[:, 0], np.empty((self.windows, WIDTH)), np.zeros(WIDTH)
-        for index, by in enumerate(starts):
-            start = every[index] = by @ np.concatenate([start, step, [1.0]])
-        return Step(step, every, float((self.rows.residuals**2).sum() - (left[:, -1] ** 2).sum()))
+        fields, every = by_fields[:, 0], [np.zeros(WIDTH)]
+        for by in starts:
+            every.append(by @ np.concatenate([every[-1], fields, [1.0]]))
+        decrease = float((self.rows.residuals**2).sum() - (left[:, -1] ** 2).sum())
+        return np.concatenate([fields, *every[1:]]), decrease
 
     def information(self) -> Array:
         """Triangle R of the fields' inverse covariance R^T R, which the starts are free for, (k, F)."""
@@ -130,8 +121,6 @@ class Chain:
 
 def _solve(stack: Array, width: int) -> tuple[Array, Array]:
     """The first unknowns as functions of (the others, 1), and the rows that are left for the others."""
-    if width == 0:
-        return np.zeros((0, stack.shape[1])), stack
     lengths = np.linalg.norm(stack[:, :width], axis=0)
     lengths[lengths == 0.0] = 1.0
     left, values, right = np.linalg.svd(stack[:, :width] / lengths)
@@ -182,17 +171,17 @@ def minimise(
         trial = evaluate(tried)
         return tried, trial, np.inf if trial is None else float((trial.residuals**2).sum())
 
-    step, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
+    move, promised, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
     longest, blocking = share, np.zeros(0, np.intp)
     for _ in range(most):
         square = float((rows.residuals**2).sum())
-        moved = share * step.unknowns
+        moved = share * move
         tried, trial, after = moved_by(unknowns, moved)
-        expected = share * (2.0 - share) * step.decrease
+        expected = share * (2.0 - share) * promised
         if trial is not None and share == longest and not square - after > 1e-4 * expected:
-            again, further = _step_within(trial, windows, _LEAST_DAMPING, tried[:count], low, high)
-            moved = moved + further * again.unknowns
-            second = moved_by(tried, further * again.unknowns)
+            again, _, further = _step_within(trial, windows, _LEAST_DAMPING, tried[:count], low, high)
+            moved = moved + further * again
+            second = moved_by(tried, further * again)
             if second[2] < after:
                 tried, trial, after = second
         decrease = square - after
@@ -200,7 +189,7 @@ def minimise(
         if trial is not None and decrease > 1e-4 * expected:
             unknowns, rows = tried, trial
             damping = max(0.1 * damping, _LEAST_DAMPING) if share == longest else max(_GROWTH * damping, _FIRST_DAMPING)
-            step, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
+            move, promised, share = _step_within(rows, windows, damping, unknowns[:count], low, high)
             longest = share
         else:
             share *= _SHORTER
@@ -209,28 +198,29 @@ def minimise(
                 excess = np.bincount(rows.window, trial.residuals**2 - rows.residuals**2, windows)
                 blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
         if last:  # the end, unless the step was small because it was shortened or damped, or blocked
-            step, _ = _step_within(rows, windows, _FIRST_DAMPING, unknowns[:count], low, high)
-            away = float(np.linalg.norm(Chain(rows, windows).information() @ step.fields))
-            ended = (away < _NEAR_THE_END and step.decrease < _NEGLIGIBLE * windows) or _small(step.unknowns, unknowns)
+            move, promised, _ = _step_within(rows, windows, _FIRST_DAMPING, unknowns[:count], low, high)
+            away = float(np.linalg.norm(Chain(rows, windows).information() @ move[:count]))
+            ended = (away < _NEAR_THE_END and promised < _NEGLIGIBLE * windows) or _small(move, unknowns)
             return unknowns, ended, blocking
     return unknowns, False, blocking
 
 
 def _step_within(
     rows: Rows, windows: int, damping: float, fields: Array, low: Array, high: Array
-) -> tuple[Step, float]:
-    """A step from the fields, and the share of it that stays within bounds.
+) -> tuple[Array, float, float]:
+    """A step from the fields, the decrease of the squares by it, and the share of it that stays within bounds.
 
     Fields at a bound that it would cross are held.
     """
     held = np.zeros(len(fields), dtype=bool)
     while True:
-        step = Chain(rows, windows).step(damping)
-        step.fields[held] = 0.0
-        moving = step.fields != 0.0
-        room = (np.where(step.fields > 0.0, high, low) - fields)[moving] / step.fields[moving]
+        step, decrease = Chain(rows, windows).step(damping)
+        moves = step[: len(fields)]
+        moves[held] = 0.0
+        moving = moves != 0.0
+        room = (np.where(moves > 0.0, high, low) - fields)[moving] / moves[moving]
         if not (room <= _TOLERANCE).any():
-            return step, float(room.min(initial=1.0))
+            return step, decrease, float(room.min(initial=1.0))
         held[np.flatnonzero(moving)[room <= _TOLERANCE]] = True
         jacobian = rows.jacobian.copy()
         jacobian[:, 2 * WIDTH :][:, held] = 0.0

@@ -70,13 +70,13 @@ class Recording:
         self.dt = check.real("dt", dt, at_least=SHORTEST, at_most=LATEST_TIME)
         self.time = check.real("time", time, at_least=-LATEST_TIME, at_most=LATEST_TIME)
         count, one = (len(self.states) - 1, "step") if torque == "held" else (len(self.states), "state")
-        self.torques = None if torques is None else _finite("torques", torques)
+        self.torques = None if torques is None else check.finite("torques", torques)
         shape = (count,) if self.torques is None else self.torques.shape
         if shape[0] != count or len(shape) > (2 if torque == "held" else 1) or 0 in shape:
             raise ValueError(f"torques must have shape ({count},), one for each {one}, got {shape}")
         if self.torques is not None and torque != "held":
             self.torques = torques_between(self.torques, torque)
-        self.impacts = None if impacts is None else _finite("impacts", impacts)
+        self.impacts = None if impacts is None else check.finite("impacts", impacts)
         if self.impacts is not None and (self.impacts.ndim != 1 or (np.diff(self.impacts) < 0.0).any()):
             raise ValueError(f"impacts must be times in order, got {check.shown(impacts)}")
         heard, end = np.zeros(0) if self.impacts is None else self.impacts, self.time + count * self.dt
@@ -129,21 +129,14 @@ class Recording:
         table = (columns if isinstance(columns, Table) else table_of(columns))._replace(
             scale=None if scale is None else check.real("scale", scale, above=0.0)
         )
-        heard = None if impacts is None else _finite("impacts", impacts)
-        arguments, notes = evened(table, scene, names, y_down, heard, torque)
+        impacts = None if impacts is None else check.finite("impacts", impacts)
+        arguments, notes = evened(table, scene, names, y_down, impacts, torque)
         try:
             recording = cls(**arguments)
         except ValueError as error:
             raise ValueError(f"{table.source.removesuffix(', ')}: {error}" if table.source else str(error)) from error
         recording.notes = notes
         return recording
-
-
-def _finite(name: str, values: Any) -> Array:
-    array = np.array(check.array(name, values, "be numbers"), dtype=np.float64)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}")
-    return array
 
 
 def pushed(recording: Recording, scene: Scene) -> bool:
@@ -188,7 +181,7 @@ def rough_noise(recordings: Sequence[Recording], units: Array) -> Array:
 
 def looks_smoothed(recordings: Sequence[Recording]) -> bool:
     """Whether each position has more noise by every second row than by all, as no white noise has."""
-    columns = [one.states[:, column] for one in recordings for column in range(RATES)]
+    columns = [column for one in recordings for column in one.states[:, :RATES].T]
     both = [(_third_differences(values), _third_differences(values[::2])) for values in columns]
     enough = [(every, second) for every, second in both if len(second) > _LEAST_DIFFERENCES]
     more = [np.median(abs(second)) > _SMOOTH * np.median(abs(every)) for every, second in enough]

@@ -65,7 +65,7 @@ def outcome_of(search: Search, ended: bool) -> Fit:
     least, most = np.where(logarithmic, -np.inf, 0.0), np.where(logarithmic, np.inf, parameters.high)
     ends = (parameters.values(np.clip(numbers + sign * half_widths, least, most)) for sign in (-1.0, 1.0))
     states = search.motions()
-    unknown = [unidentified_sentence(parameters.fields, row, logarithmic) for row in unidentified]
+    unknown = [unidentified_sentence(parameters.fields, row) for row in unidentified]
     known = {name for name, half_width in zip(parameters.fields, half_widths, strict=True) if np.isfinite(half_width)}
     if known & _MASSES and not any(pushed(one, parameters.start) for one in search.recordings):
         unknown.append(
@@ -109,8 +109,8 @@ def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool,
     misfits, unheard = int(misfitting(rows, count).sum()), int((rows.column == UNHEARD).sum())
     yield misfits > 0, f"{misfits} of {count} windows do not fit within the noise"
     yield unheard > 0, f"the fitted motion lacks {unheard} of the impacts that were heard"
-    names = zip((*STATE_NAMES, IMPACT, "all numbers together"), autocorrelations(rows), strict=True)
-    correlated = ", ".join(name for name, value in names if value > _MOST_CORRELATED)
+    names = *STATE_NAMES, IMPACT, "all numbers together"
+    correlated = ", ".join(names[k] for k in np.flatnonzero(autocorrelations(rows) > _MOST_CORRELATED))
     yield (
         bool(correlated),
         f"residuals of {correlated} are correlated in time: something that is not fitted is wrong",
@@ -128,8 +128,10 @@ def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool,
             seconds > MOST_SKIPPED * covered > 0.0,
             f"the jack moves in {seconds:.2g} s{where} that the scene does not explain",
         )
-    fits = not len(held_out) or np.mean(held_out**2) < highest_mean_square(len(held_out))
-    yield not fits, "windows that were held out do not fit within the noise"
+    yield (
+        len(held_out) > 0 and not np.mean(held_out**2) < highest_mean_square(len(held_out)),
+        "windows that were held out do not fit within the noise",
+    )
 
 
 def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
@@ -166,11 +168,10 @@ def _bad_rows(search: Search) -> list[list[str]]:
     for number, (recording, modelled) in enumerate(zip(search.recordings, search.motions(), strict=True)):
         off, of = abs(recording.states - modelled), f" of recording {number}" * (len(search.recordings) > 1)
         away = np.nan_to_num(off / search.noise[:12])
-        worst = zip(range(len(away)), away.argmax(axis=1).tolist(), strict=True)
         sentences.append(
             [
                 f"row {row}{of}: {STATE_NAMES[column]} is {off[row, column]:.2g} {STATE_UNITS[column]} off"
-                for row, column in worst
+                for row, column in enumerate(away.argmax(axis=1).tolist())
                 if away[row, column] > FARTHEST
             ]
         )

@@ -24,17 +24,21 @@ def highest_mean_square(count: int) -> float:
     return 1.5 + 9.0 / math.sqrt(count)
 
 
-def squares(rows: Rows) -> Array:
-    """Squares of residuals; all that was discounted as if it was least far, so that a window may have a bad row."""
-    return np.where(rows.column == FAR, FARTHEST**2, rows.residuals**2)
+def mean_squares(rows: Rows, windows: int) -> tuple[Array, Array]:
+    """Mean square residual of each window, and what is more than noise, both (windows,); 0 and inf of one unseen.
+
+    What was discounted counts as if it was least far, so that a window may have a bad row.
+    """
+    seen = (rows.column >= 0) | (rows.column == FAR)
+    counts = np.bincount(rows.window[seen], minlength=windows)
+    squares = np.where(rows.column == FAR, FARTHEST**2, rows.residuals**2)[seen]
+    most = np.array([highest_mean_square(count) if count else np.inf for count in counts.tolist()])
+    return np.bincount(rows.window[seen], squares, windows) / np.maximum(counts, 1), most
 
 
 def misfitting(rows: Rows, windows: int) -> NDArray[np.bool_]:
     """The windows that do not fit, shape (windows,): their mean square residual is far above that of most."""
-    seen = (rows.column >= 0) | (rows.column == FAR)
-    counts = np.bincount(rows.window[seen], minlength=windows)
-    square = np.bincount(rows.window[seen], squares(rows)[seen], windows) / np.maximum(counts, 1)
-    most = np.array([highest_mean_square(count) if count else np.inf for count in counts.tolist()])
+    square, most = mean_squares(rows, windows)
     usual = max(1.0, float(np.median(square[square > 0.0]))) if (square > 0.0).any() else 1.0
     return np.asarray(square > most * usual)
 
@@ -68,14 +72,11 @@ def identified(chain: Chain) -> tuple[Array, Array]:
     return known.T @ (deviations[~unidentifiable, None] ** 2 * known), directions[unidentifiable]
 
 
-def unidentified_sentence(names: Sequence[str], direction: Array, logarithmic: NDArray[np.bool_]) -> str:
+def unidentified_sentence(names: Sequence[str], direction: Array) -> str:
     """A combination of fields that the recordings leave open, in words."""
-    direction = direction / direction[np.argmax(abs(direction))]
-    parts = [index for index in range(len(direction)) if abs(direction[index]) > 0.05]
-    listed = [names[index] for index in parts]
-    if len(parts) == 1:
-        return f"the recordings do not identify {listed[0]}"
-    if logarithmic[parts].all() and (abs(direction[parts] - 1.0) < 0.05).all():
-        return f"the recordings identify {' and '.join(listed)} only up to one common factor"
-    moves = [f"{name} by {direction[index]:+.2g} %" for name, index in zip(listed, parts, strict=True)]
+    shares = (direction / direction[np.argmax(abs(direction))]).tolist()
+    moved = [(name, share) for name, share in zip(names, shares, strict=True) if abs(share) > 0.05]
+    if len(moved) == 1:
+        return f"the recordings do not identify {moved[0][0]}"
+    moves = [f"{name} by {share:+.2g} %" for name, share in moved]
     return f"moving {' and '.join(moves)} changes nothing that was observed"

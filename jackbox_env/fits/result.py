@@ -17,7 +17,7 @@ class Fit:
     >>> still, torques = Scene(drive=None), np.zeros(150)  # only the ratio of the masses matters
     >>> states = rollout(still, 0.3 * np.eye(12)[5], torques, dt=0.02)[0]  # leaning by 0.3 rad
     >>> fit(Recording(states, torques, dt=0.02), ("box_mass", "jack_mass"), still).unidentified
-    ('the recordings identify box_mass and jack_mass only up to one common factor',)
+    ('moving box_mass by +1 % and jack_mass by +1 % changes nothing that was observed',)
 
     Attributes:
         scene: the scene.

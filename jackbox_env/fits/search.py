@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from jackbox_env.fits.first_guess import flights_of
-from jackbox_env.fits.least_squares import FAR, WIDTH, Indices, Rows, minimise
+from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
-from jackbox_env.fits.residuals import highest_mean_square, misfitting, squares
+from jackbox_env.fits.residuals import mean_squares, misfitting
 from jackbox_env.fits.shooting import Parameters, Shooting, Window, motions, units
 from jackbox_env.model.states import THETA_JACK, Array
 
@@ -112,8 +112,8 @@ class Search:
         for column in np.flatnonzero(~np.isfinite(self.known_noise)):
             residuals = rows.residuals[rows.column == column]
             if len(residuals):
-                self.noise[column] *= math.sqrt(float((residuals**2).mean()) / share)
-                self.noise[column] = max(self.noise[column], least[column])
+                scale = math.sqrt(float((residuals**2).mean()) / share)
+                self.noise[column] = max(scale * self.noise[column], least[column])
 
     def fit_block(self, windows: list[Window], free: bool) -> bool:
         """Fit windows together, the fields too if they are ``free``; return whether the last window is explained.
@@ -160,8 +160,8 @@ class Search:
 
 def _explained(rows: Rows, window: int) -> bool:
     """Whether a window fits within the noise."""
-    square = squares(rows)[(rows.window == window) & ((rows.column >= 0) | (rows.column == FAR))]
-    return not len(square) or float(square.mean()) < highest_mean_square(len(square))
+    square, most = mean_squares(rows, window + 1)
+    return bool(square[window] < most[window])
 
 
 def link(windows: list[Window]) -> None:

@@ -166,10 +166,8 @@ def motion(recording: Recording, window: Window, parameters: Parameters, numbers
 
 def nearest_pairs(heard: Array, times: Array) -> tuple[Indices, Indices]:
     """Match times of heard impacts with the model's, each at most once and in order: indices into both."""
-    if not len(times):
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    away = abs(np.subtract.outer(heard, times))
-    nearest = away.argmin(axis=1) if len(heard) else np.zeros(0, np.intp)
+    away = abs(np.subtract.outer(heard, np.append(times, np.inf)))
+    nearest = away.argmin(axis=1)
     first = np.unique(nearest, return_index=True)[1]
     of_heard = first[away[first, nearest[first]] < _NEAR]
     return of_heard, nearest[of_heard]
@@ -215,8 +213,8 @@ class Shooting:
             fields = count - WIDTH
             jacobian = np.zeros((count, 2 * WIDTH + fields))
             jacobian[:fields, 2 * WIDTH :], jacobian[fields:, :WIDTH] = np.eye(fields), np.eye(WIDTH)
-            off = (unknowns[:count] - mean) / width
-            parts.append(Rows(off, jacobian / width[:, None], np.full(count, LINK), np.zeros(count, np.intp)))
+            columns = np.full(count, LINK), np.zeros(count, np.intp)
+            parts.append(Rows((unknowns[:count] - mean) / width, jacobian / width[:, None], *columns))
         played = motions(self.recordings, self.windows, self.parameters, numbers)
         self.not_followed = [index for index, modelled in enumerate(played) if modelled is None]
         for index, (window, modelled) in enumerate(zip(self.windows, played, strict=True)):

@@ -167,8 +167,7 @@ def in_si_units(
             chosen[name] = found[0], *_factor(table, found[0], text, si), found[1]
         elif name in names or name in needed:
             which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
-            listed = ", ".join(map(repr, numbered)) or "none"
-            raise ValueError(f"{table.header()} {which} must be one of {listed}")
+            raise ValueError(f"{table.header()} {which} must be one of {', '.join(map(repr, numbered)) or 'none'}")
     if table.scale is not None and not any(scaled for _, _, scaled, _ in chosen.values()):
         raise ValueError(f"{table.source}scale goes with columns in px, which no header has")
     decimal_commas = table.lines is not None and _decimal_commas(table, [values for *_, values in chosen.values()])

@@ -21,8 +21,7 @@ _MISSING = r"|--?|\?|#?n/?a|<na>|[-+]?nan(\([a-z]*\))?|null|none|missing|#(div/0
 NUMBER = re.compile(r"[-+\u2212]?(\d+\.?|\d*[.,]\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
 VALUE = re.compile(rf"{NUMBER.pattern}|{_MISSING}", re.ASCII | re.IGNORECASE)
 _COMMENT = re.compile(r"\s*(#\s|#?%|//)")  # no #N/A in a first cell
-_TURN = 2.0 * math.pi  # [rad]
-_DEGREE = _TURN / 360.0  # [rad]
+_DEGREE = math.tau / 360.0  # [rad]
 OTHER_UNITS = {  # in SI units, by the SI unit
     "s": {
         "ms": 1e-3,
@@ -45,8 +44,8 @@ OTHER_UNITS = {  # in SI units, by the SI unit
         "microns": 1e-6,
     },
     "m/s": {"cm/s": 1e-2, "mm/s": 1e-3},
-    "rad": {"deg": _DEGREE, "°": _DEGREE, "mrad": 1e-3, "degrees": _DEGREE, "radians": 1.0, "rev": _TURN},
-    "rad/s": {"deg/s": _DEGREE, "°/s": _DEGREE, "rpm": _TURN / 60.0, "rev/s": _TURN},
+    "rad": {"deg": _DEGREE, "°": _DEGREE, "mrad": 1e-3, "degrees": _DEGREE, "radians": 1.0, "rev": math.tau},
+    "rad/s": {"deg/s": _DEGREE, "°/s": _DEGREE, "rpm": math.tau / 60.0, "rev/s": math.tau},
     "N m": {"Nm": 1.0, "N mm": 1e-3, "Nmm": 1e-3, "N cm": 1e-2, "mN m": 1e-3, "kN m": 1e3, "kNm": 1e3},
 }
 
@@ -76,8 +75,10 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
                     pairs = zip_longest(headers, units, fillvalue="")
                     headers, below = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below[1:]
                 return headers, [at for at, _ in below], [cells for _, cells in below], delimiter, line
-    needed = f"a row of headers, {named} among them, and rows of numbers below, got {check.shown(text[:60])}"
-    raise ValueError(f"{path}: there must be {needed}; Recording.from_frame accepts what pandas reads")
+    raise ValueError(
+        f"{path}: there must be a row of headers, {named} among them, and rows of numbers below, got "
+        f"{check.shown(text[:60])}; Recording.from_frame accepts what pandas reads"
+    )
 
 
 def _decoded(path: Path) -> str:

@@ -362,8 +362,7 @@ def sequences(scenes: list[Scene], several: bool, states: ArrayLike, torques: Ar
         raise ValueError(f"torques must have shape (N, H) or (H,), got {held.shape}")
     if starts.ndim == held.ndim == 2 and len(starts) != len(held):
         raise ValueError(f"states must have as many rows as torques, got {len(starts)} and {len(held)}")
-    if not np.isfinite(held).all():
-        raise ValueError(f"torques must be finite, got {held[~np.isfinite(held)][0]}")
+    check.finite("torques", held)
     counts = [len(rows) for rows in (starts, held) if rows.ndim == 2] or [len(scenes)]
     count = counts[0]
     if several and len(scenes) != count:

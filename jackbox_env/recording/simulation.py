@@ -116,13 +116,11 @@ def _torques(torque: Any, steps: tuple[int, float]) -> Array:
     """The torque of each step [N m]."""
     count = steps[0] + (steps[1] > 0.0)
     requirement = f"be a number, a function of time or one number for each of {count} steps"
-    torques = check.array("torque", torque, requirement).astype(np.float64)
+    torques = check.finite("torque", torque, requirement)
     if torques.ndim == 0:
-        return np.broadcast_to(check.real("torque", torque), count)
+        return np.broadcast_to(torques, count)
     if torques.shape != (count,):
         raise ValueError(f"torque must {requirement}, got shape {torques.shape}")
-    if not np.isfinite(torques).all():
-        raise ValueError(f"torque must {requirement}, finite ones, got {torques[~np.isfinite(torques)][0]}")
     return torques
 
 

@@ -124,6 +124,18 @@ def array(name: str, value: Any, requirement: str) -> NDArray[Any]:
     return converted
 
 
+def finite(name: str, value: Any, requirement: str = "be numbers") -> NDArray[np.float64]:
+    """Return ``value`` as a new array of finite numbers.
+
+    Raises:
+        TypeError, ValueError: as :func:`array`; a number is NaN or infinite.
+    """
+    numbers = np.array(array(name, value, requirement), dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{name} must be finite, got {numbers[~np.isfinite(numbers)][0]}")
+    return numbers
+
+
 def shown(value: Any) -> str:
     """A value as one short line."""
     line = " ".join(repr(value).split())

@@ -289,13 +289,13 @@ FITS = [
         lambda _: fit(Recording(noisy()[0], -noisy()[1], 0.02), ("jack_mass", "restitution"), LIGHT),
         ValueError,
         "no part of the recording agrees with the start scene: check its sizes, masses, gravity and "
-        "drive, or whether the jack moves",
+        "drive, a noise that you gave, or whether the jack moves",
     ),
     Refusal(
         lambda _: fit(Recording(noisy()[0], None, 0.02), ("jack_mass",), LIGHT.changed(drive=Chirp()), noise=1e-9),
         ValueError,
         "no part of the recording agrees with the start scene: check its sizes, masses, gravity and "
-        "drive, or the noise, which may be larger than given, or whether the jack moves",
+        "drive, a noise that you gave, or whether the jack moves",
     ),
     Refusal(fitted(recordings=[]), TypeError, "recordings must be a Recording or several, got []"),
     Refusal(fitted(recordings=3), TypeError, "recordings must be a Recording or several, got 3"),
@@ -304,7 +304,7 @@ FITS = [
     Refusal(
         fitted(fields=("weight",)),
         ValueError,
-        "a field must be one of 'gravity', 'box_mass', 'box_inertia', 'jack_mass', 'jack_inertia', "
+        "fields accepts only 'gravity', 'box_mass', 'box_inertia', 'jack_mass', 'jack_inertia', "
         "'jack_arm', 'box_half_width', 'restitution', got 'weight'",
     ),
     Refusal(fitted(start=3), TypeError, "scene must be a Scene, a dict of its fields or None, got 3"),
@@ -318,7 +318,7 @@ FITS = [
     Refusal(
         fitted(fields=[["gravity"]]),
         ValueError,
-        "a field must be one of 'gravity', 'box_mass', 'box_inertia', 'jack_mass', 'jack_inertia', "
+        "fields accepts only 'gravity', 'box_mass', 'box_inertia', 'jack_mass', 'jack_inertia', "
         "'jack_arm', 'box_half_width', 'restitution', got ['gravity']",
     ),
     Refusal(
