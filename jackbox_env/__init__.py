@@ -95,7 +95,7 @@ __all__ = [
 register(
     id="JackInBox-v0",
     entry_point="jackbox_env.envs.single:JackInBoxEnv",
-    vector_entry_point="jackbox_env.envs.vector:JackInBoxVectorEnv",
+    vector_entry_point="jackbox_env.envs:make_vec",
     max_episode_steps=None,  # the environment itself truncates
     reward_threshold=300.0,  # of juggle
 )

@@ -15,7 +15,7 @@ from jackbox_env.tools import checks as check
 
 # Arguments of the vector environment alone, and the end of the sentence that is raised for them elsewhere.
 VECTOR_ONLY = dict.fromkeys(
-    ("num_envs", "autoreset_mode", "num_threads", "with_infos"),
+    ("num_envs", "autoreset_mode", "num_threads", "with_infos", "device"),
     'belongs to the native vector environment: gymnasium.make_vec with vectorization_mode="vector_entry_point"',
 )
 # Properties of environments that something else changes.

@@ -74,6 +74,8 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         render_mode: None or "rgb_array"; "human" for one environment.
         scene: a :class:`Scene`, a dict of some of its fields, or a list of N of them, one for each environment.
 
+    ``gymnasium.make_vec(..., device="cuda")`` makes a :class:`jackbox_env.envs.on_card.CardVectorEnv` in its place.
+
     The other arguments are those of :class:`JackInBoxEnv`. With ``action_repeat="bounce"`` the environments' times
     differ.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -27,7 +28,7 @@ _ROUNDED = {"add", "sub", "mul", "div", "sqrt", "rcp"}  # operations on float64 
 # and those that are exact
 _EXACT = {"abs", "neg", "copysign", "mov", "ld", "st", "selp", "setp", "min", "max", "cvt"}
 _KNOWN = re.compile(
-    r"llvm\.(nvvm|sqrt|fabs|copysign|floor|ceil|trunc|[su]m(ax|in)|abs|mem(set|cpy|move)|lifetime|assume)\b"
+    r"llvm\.(nvvm|sqrt|fabs|copysign|floor|ceil|trunc|[su]m(ax|in)|abs|mem(set|cpy|move)|lifetime|assume|fsh[lr])\b"
 )
 _OF_64_BITS = re.compile(r"^\s+(?:@!?%p\d+\s+)?([a-z]\w*)(\.[a-z0-9_.:]*)?\s", re.MULTILINE)
 
@@ -45,15 +46,11 @@ define ptx_kernel void @rollout(ptr %call, i64 %count) {{
   %inside = icmp slt i64 %row, %count
   br i1 %inside, label %play, label %end
 play:
-  %workspace = alloca [{workspace} x i8], align 16
-  %scratch = alloca [{scratch} x double], align 16
+  {memory}
   %result = alloca ptr, align 8
   %error = alloca ptr, align 8
   %address = ptrtoint ptr %call to i64
-  %raised = call i32 @{name}(ptr %result, ptr %error, i64 %address,
-    ptr null, ptr null, i64 1, i64 {workspace}, ptr %workspace, i64 1, i64 {workspace},
-    ptr null, ptr null, i64 {scratch}, i64 8, ptr %scratch, i64 {scratch}, i64 8,
-    ptr null, ptr null, i64 0, i64 8, ptr %scratch, i64 0, i64 4, i64 32, i64 8, i64 %row)
+  %raised = call i32 @{name}(ptr %result, ptr %error, {arguments})
   %failed = icmp ne i32 %raised, 0
   br i1 %failed, label %leave, label %end
 leave:
@@ -79,15 +76,22 @@ def ptx_of(task: str, chip: str = "sm_80") -> str:
         task: its name.
         chip: the oldest that the code runs on.
     """
-    name = f"{task}-{chip}-{version('numba')}-{version('llvmlite')}.ptx"
+
+    def made() -> str:
+        code = intermediate_code(play, kinds_of(arguments()), **SUBSTITUTES, task_terms=TASKS[task].values)
+        return checked(*code, chip, arguments())
+
+    return stored(f"{task}-{chip}", made)
+
+
+def stored(name: str, made: Callable[[], str]) -> str:
+    """PTX of this name as it was stored with the other compiled code; else as it is ``made`` now, which is stored."""
+    name += f"-{version('numba')}-{version('llvmlite')}.ptx"
     for folder in cache_folders():
-        stored, _, checksum = (
-            (folder / name).read_text().rpartition("// ") if (folder / name).is_file() else ("", "", "")
-        )
-        if stored and _checksum(name, stored) == checksum:
-            return stored
-    code = intermediate_code(play, kinds_of(arguments()), **SUBSTITUTES, task_terms=TASKS[task].values)
-    ptx = checked(*code, chip)
+        text, _, checksum = (folder / name).read_text().rpartition("// ") if (folder / name).is_file() else ("", "", "")
+        if text and _checksum(name, text) == checksum:
+            return text
+    ptx = made()
     with contextlib.suppress(OSError):  # then it is compiled anew in each process
         files.write_text(cache_folders()[-1] / name, f"{ptx}// {_checksum(name, ptx)}")
     return ptx
@@ -99,18 +103,26 @@ def ptx_with(users: UsersFunctions, chip: str = "sm_80") -> str:
     Raises:
         TypeError: its functions need more than arithmetic.
     """
-    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds_of(arguments())), chip)
+    return checked(*users.besides(SUBSTITUTES).intermediate_code(play, kinds_of(arguments())), chip, arguments())
 
 
 def _checksum(name: str, ptx: str) -> str:
     return hashlib.sha256(f"{name}\0{ptx}".encode()).hexdigest()
 
 
-def checked(code: str, name: str, chip: str) -> str:
-    """The PTX of a kernel around the function of this name in LLVM's code; :func:`refuse_inexact` has passed it."""
-    _, workspaces, scratch, *_ = arguments()
-    sizes = {"workspace": workspaces.itemsize, "scratch": len(scratch)}
-    ptx = emitted(code + _KERNEL.format(name=name, status=Status.UNCOMPILED.value, **sizes), chip)
+def checked(code: str, name: str, chip: str, example: tuple[Any, ...]) -> str:
+    """The PTX of a kernel around the function of this name in LLVM's code; :func:`refuse_inexact` has passed it.
+
+    Its arguments are an address, memory like the arrays of the ``example``, which each thread has, and a row.
+    """
+    memory, passed = "", ["i64 %address"]
+    for number, array in enumerate(example[1:-1]):
+        memory += f"%memory_{number} = alloca [{max(8, array.nbytes)} x i8], align 16\n  "
+        numbers = [f"i64 {one}" for one in (array.size, array.itemsize, *array.shape, *array.strides)]
+        passed += ["ptr null, ptr null", *numbers[:2], f"ptr %memory_{number}", *numbers[2:]]
+    call = ", ".join([*passed, "i64 %row"])
+    kernel = _KERNEL.format(name=name, status=Status.UNCOMPILED.value, memory=memory, arguments=call)
+    ptx = emitted(code + kernel, chip)
     refuse_inexact(ptx)
     return ptx
 
@@ -141,7 +153,7 @@ def refuse_more_than_arithmetic(module: Any) -> None:
     if " frem " in str(module):
         needed.append("%")
     if needed:
-        raise TypeError(f'device="cuda" runs tasks of + - * / and square roots, this one needs {needed[0]}')
+        raise TypeError(f'device="cuda" runs functions of + - * / and square roots, this one needs {needed[0]}')
 
 
 def refuse_inexact(ptx: str) -> None:
@@ -153,5 +165,6 @@ def refuse_inexact(ptx: str) -> None:
     for operation, how in _OF_64_BITS.findall(ptx):
         of_floats = {"f64", "f32", "f16", "f16x2", "bf16"}.intersection(how.split("."))
         known = operation in _EXACT or (operation in _ROUNDED and ".rn." in how)
-        if operation == "call" or (of_floats and not (known and of_floats == {"f64"})):
+        known = (known and of_floats == {"f64"}) or operation + how == "cvt.rn.f32.f64"  # of observations, as IEEE 754
+        if operation == "call" or (of_floats and not known):
             raise TypeError(f"a GPU would not get the CPU's bits by {operation}{how}")

@@ -16,6 +16,7 @@ import itertools
 import math
 import sys
 import threading
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from functools import cache
 from types import CellType, FunctionType, ModuleType
@@ -219,11 +220,15 @@ class UsersFunctions(_Compilation):
                 self.entries[function] = self.compiled(function)
         return cast(F, self.entries[function])
 
-    def besides(self, substitutes: dict[str, Any]) -> UsersFunctions:
-        """A copy with further substitutes of functions of this package; the user's functions are not read again."""
-        other = UsersFunctions(lambda _: self._substitutes | substitutes)
-        other._twins = {key: twin for key, twin in self._twins.items() if is_foreign(key[0])}
-        return other
+    def besides(self, substitutes: dict[str, Any], *others: UsersFunctions) -> UsersFunctions:
+        """A copy with further substitutes of functions of this package, and with those of others.
+
+        The users' functions are not read again.
+        """
+        parts = [self, *others]
+        joined = UsersFunctions(lambda _: dict(ChainMap(substitutes, *(one._substitutes for one in parts))))
+        joined._twins = {key: twin for one in parts for key, twin in one._twins.items() if is_foreign(key[0])}
+        return joined
 
     def returned_by(self, function: Callable[..., Any], further: tuple[Any, ...]) -> tuple[Any, str]:
         """The type that a user's function of scene, state and ``further`` arguments returns, and numba's name of it.

@@ -36,10 +36,15 @@ def landing_time(scene: Scene | SceneNumbers, state: State) -> float:
 
 def upright(angle: float) -> float:
     """An angle of the box [rad] turned back by whole quarter turns, to within an eighth: the box looks the same."""
-    turned = remainder(abs(angle), QUARTER) if abs(angle) < 2.0**53 else abs(angle) % QUARTER
+    turned = less_quarters(abs(angle), QUARTER)
     if turned > 0.5 * QUARTER:
         turned -= QUARTER
     return turned if angle > 0.0 else -turned
+
+
+def less_quarters(angle: float, quarter: float) -> float:
+    """An angle of at least 0, less whole quarter turns [rad]."""
+    return remainder(angle, quarter) if angle < 2.0**53 else angle % quarter
 
 
 def aim(scene: Scene | SceneNumbers, state: State, angle: float, rate: float, duration: float) -> float:

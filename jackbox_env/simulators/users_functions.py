@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections import ChainMap
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 from weakref import WeakKeyDictionary
@@ -39,9 +40,28 @@ def compiled_for(owner: Task | Observation | Action, function: Callable[..., Any
     """
     from jackbox_env.jit.compiler import compiled
 
-    if any(owner is one for named in (TASKS, OBSERVATIONS, ACTIONS) for one in named.values()):
+    if name_of(owner):
         return compiled(function, **_SUBSTITUTES[type(owner)](owner, None))
     return users_functions(owner).entry(function)
+
+
+def name_of(owner: Task | Observation | Action) -> str:
+    """The name of a built-in one; empty if it is a user's."""
+    names = (name for named in (TASKS, OBSERVATIONS, ACTIONS) for name, one in named.items() if owner is one)
+    return next(names, "")
+
+
+def functions_together(owners: Sequence[Task | Observation | Action], further: dict[str, Any]) -> UsersFunctions:
+    """The functions of several, and ``further`` substitutes, to be compiled into one function.
+
+    Raises:
+        TypeError: those of a user cannot be compiled, or return wrong types.
+    """
+    from jackbox_env.jit.compiler import UsersFunctions
+
+    built_in = [_SUBSTITUTES[type(one)](one, None) for one in owners if name_of(one)]
+    users = [users_functions(one) for one in owners if not name_of(one)]
+    return UsersFunctions(lambda _: dict(ChainMap(further, *built_in))).besides({}, *users)
 
 
 def observer_of(observation: Observation) -> Callable[..., Any]:

@@ -1,6 +1,10 @@
-"""PPO in one file, in the manner of CleanRL: torch, and Gymnasium's vector interface."""
+"""PPO in one file, in the manner of CleanRL: torch, and Gymnasium's vector interface.
+
+With --device cuda environments and networks stay on the GPU.
+"""
 
 import argparse
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,16 +16,25 @@ import jackbox_env  # noqa: F401  # registers JackInBox-v0
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=2_000_000)
 parser.add_argument("--task", default="juggle")
+parser.add_argument("--device", choices=["cuda"])
 arguments = parser.parse_args()
 NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, GAMMA, LAMBDA, CLIP = 256, 32, 5, 1024, 0.99, 0.9, 0.2
 
 torch.manual_seed(0)
 torch.set_num_threads(1)  # small networks are fastest on one
+if arguments.device:
+    torch.set_default_device(arguments.device)
 keywords = {"task": arguments.task, "action_repeat": 4}  # an action every 0.08 s, 125 in an episode
-envs = gym.make_vec(
-    "JackInBox-v0", NUM_ENVS, fidelity="exact", autoreset_mode="SAME_STEP", **keywords
-)
+keywords |= {"autoreset_mode": "SAME_STEP", "device": arguments.device}
+envs = gym.make_vec("JackInBox-v0", NUM_ENVS, fidelity="exact", **keywords)
 size = gym.spaces.flatdim(envs.single_observation_space)
+
+
+def stepped(action: torch.Tensor) -> tuple[Any, ...]:
+    """Step the environments; tensors and infos."""
+    given = action.clamp(-1.0, 1.0)
+    *results, infos = envs.step(given if arguments.device else given.numpy())
+    return *map(torch.as_tensor, results), infos
 
 
 def network(outputs: int) -> nn.Sequential:
@@ -42,7 +55,7 @@ def log_probability(observations: torch.Tensor, actions: torch.Tensor) -> torch.
 
 
 updates = max(1, arguments.steps // (NUM_ENVS * LENGTH))
-observation, earned = torch.tensor(envs.reset(seed=0)[0]), np.zeros(NUM_ENVS)
+observation, earned = torch.as_tensor(envs.reset(seed=0)[0]), torch.zeros(NUM_ENVS)
 finished: list[float] = []
 for update in range(updates):
     optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - update / updates)
@@ -50,19 +63,21 @@ for update in range(updates):
     for _ in range(LENGTH):
         with torch.no_grad():
             action = torch.normal(actor(observation), log_std.exp())
-        after, reward, terminated, truncated, infos = envs.step(action.clamp(-1.0, 1.0).numpy())
+        after, reward, terminated, truncated, infos = stepped(action)
+        reward = reward.float()
         earned += reward
         if truncated.any():  # the time limit ends no task: add the value of what would follow
-            final = torch.tensor(np.stack(infos["final_obs"][truncated]))
+            final = infos["final_obs"][truncated]
+            final = torch.as_tensor(final if arguments.device else np.stack(final))
             with torch.no_grad():
-                reward[truncated] += GAMMA * critic(final).squeeze(-1).numpy()
+                reward[truncated] += GAMMA * critic(final).squeeze(-1)
         observed.append(observation)
         acted.append(action)
-        rewards.append(torch.tensor(reward, dtype=torch.float32))
-        dones.append(torch.tensor(terminated | truncated, dtype=torch.float32))
+        rewards.append(reward)
+        dones.append((terminated | truncated).float())
         finished += earned[truncated].tolist()
         earned[truncated] = 0.0
-        observation = torch.tensor(after)
+        observation = after
     with torch.no_grad():
         values = critic(torch.stack([*observed, observation])).squeeze(-1)
         advantages, last = torch.zeros(LENGTH, NUM_ENVS), torch.zeros(NUM_ENVS)
@@ -89,13 +104,13 @@ for update in range(updates):
         actions, recent = (update + 1) * NUM_ENVS * LENGTH, np.mean(finished[-NUM_ENVS:])
         print(f"{actions:,} actions: {recent:.1f}", flush=True)
 
-observation = torch.tensor(envs.reset(seed=1_000_000)[0])  # unseen starts
-earned = np.zeros(NUM_ENVS)
+observation = torch.as_tensor(envs.reset(seed=1_000_000)[0])  # unseen starts
+earned = torch.zeros(NUM_ENVS)
 for _ in range(125):
     with torch.no_grad():
         action = actor(observation)
-    after, reward = envs.step(action.clamp(-1.0, 1.0).numpy())[:2]
-    observation, earned = torch.tensor(after), earned + reward
+    observation, reward = stepped(action)[:2]
+    earned += reward
 interval = 1.96 * earned.std() / NUM_ENVS**0.5
 actions = updates * NUM_ENVS * LENGTH
 print(f"after {actions:,} actions: return {earned.mean():.1f} +- {interval:.1f}")

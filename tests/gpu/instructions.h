@@ -5,6 +5,8 @@
 
 typedef uint64_t u64;
 typedef uint32_t u32;
+typedef uint16_t u16;
+typedef int16_t s16;
 typedef int64_t s64;
 typedef int32_t s32;
 
@@ -48,6 +50,7 @@ static inline s64 cvt_rzi_s64_f64(u64 a) {  // NaN is 0, and what is too large i
   if (isnan(x)) return 0;
   return x >= 0x1p63 ? INT64_MAX : x < -0x1p63 ? INT64_MIN : (s64)x;
 }
+static inline u32 cvt_rn_f32_f64(u64 a) { float x = (float)number(a); u32 b; memcpy(&b, &x, 4); return b; }
 static inline u64 cvt_u64_u32(u32 a) { return a; }
 static inline u64 cvt_s64_s32(s32 a) { return (u64)(s64)a; }
 static inline u32 cvt_u32_u64(u64 a) { return (u32)a; }
@@ -75,6 +78,9 @@ static inline int setp_num_f64(u64 a, u64 b) { return !setp_nan_f64(a, b); }
   static inline int setp_##name##_s64(s64 a, s64 b) { return a operator b; } \
   static inline int setp_##name##_u64(u64 a, u64 b) { return a operator b; } \
   static inline int setp_##name##_b64(u64 a, u64 b) { return a operator b; } \
+  static inline int setp_##name##_b16(u16 a, u16 b) { return a operator b; } \
+  static inline int setp_##name##_u16(u16 a, u16 b) { return a operator b; } \
+  static inline int setp_##name##_s16(s16 a, s16 b) { return a operator b; } \
   static inline int setp_##name##_s32(s32 a, s32 b) { return a operator b; } \
   static inline int setp_##name##_u32(u32 a, u32 b) { return a operator b; } \
   static inline int setp_##name##_b32(u32 a, u32 b) { return a operator b; }
@@ -96,10 +102,18 @@ WHOLE(mul_lo, s32, u32, *)
 WHOLE(add, s32, u32, +)
 WHOLE(div, s64, s64, /)
 WHOLE(div, u32, u32, /)
+WHOLE(div, u64, u64, /)
 WHOLE(rem, s64, s64, %)
+WHOLE(rem, u64, u64, %)
+WHOLE(rem, u32, u32, %)
 WHOLE(and, b64, u64, &)
 WHOLE(or, b64, u64, |)
 WHOLE(xor, b64, u64, ^)
+WHOLE(and, b32, u32, &)
+WHOLE(or, b32, u32, |)
+WHOLE(xor, b32, u32, ^)
+WHOLE(and, b16, u16, &)
+WHOLE(or, b16, u16, |)
 WHOLE(and, pred, int, &)
 WHOLE(or, pred, int, |)
 WHOLE(xor, pred, int, ^)
@@ -110,6 +124,8 @@ static inline s64 min_s64(s64 a, s64 b) { return a < b ? a : b; }
 static inline s64 max_s64(s64 a, s64 b) { return a > b ? a : b; }
 static inline u64 mad_lo_s64(u64 a, u64 b, u64 c) { return a * b + c; }
 static inline u32 mad_lo_s32(u32 a, u32 b, u32 c) { return a * b + c; }
+static inline u64 mul_hi_u64(u64 a, u64 b) { return (u64)((unsigned __int128)a * b >> 64); }
+static inline u32 neg_s32(u32 a) { return -a; }
 static inline u64 mul_wide_s32(s32 a, s32 b) { return (u64)((s64)a * b); }
 static inline u64 mul_wide_u32(u32 a, u32 b) { return (u64)a * b; }
 static inline u64 shl_b64(u64 a, u32 b) { return b > 63 ? 0 : a << b; }
@@ -121,3 +137,4 @@ static inline void st_b64(u64 address, u64 x) { memcpy((void *)address, &x, 8); 
 static inline u32 ld_b32(u64 address) { u32 x; memcpy(&x, (void *)address, 4); return x; }
 static inline void st_b32(u64 address, u32 x) { memcpy((void *)address, &x, 4); }
 static inline void st_b8(u64 address, u64 x) { *(unsigned char *)address = (unsigned char)x; }
+static inline u16 ld_b8(u64 address) { return *(unsigned char *)address; }

@@ -16,7 +16,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 WIDTH = 128  # threads in a block
-_TYPES = {"pred": "int", "b32": "u32", "b64": "u64"}
+_TYPES = {"pred": "int", "b16": "u16", "b32": "u32", "b64": "u64"}
 _SPECIAL = {"%tid.x": "thread", "%ntid.x": str(WIDTH), "%ctaid.x": "block", "__local_depot0": "(u64)local"}
 _STATEMENT = re.compile(r"(?:@(!?)%(p\d+) )?([a-z]\w*)([.\w]*)(.*)")
 _SPACES = re.compile(r"\.(local|global|param)\b")
@@ -68,7 +68,7 @@ def _line(line: str) -> str:
         kind, name, count = registers.groups()
         names = [f"{name}{number} = 0" for number in range(1, int(count))] if count else [f"{name} = 0"]
         return f"{_TYPES[kind]} {', '.join(names)};"
-    if depot := re.fullmatch(r"\.local \.align 16 \.b8 __local_depot0\[(\d+)\]", line):
+    if depot := re.fullmatch(r"\.local \.align \d+ \.b8 __local_depot0\[(\d+)\]", line):
         return f"_Alignas(16) char local[{depot[1]}];"
     if line.startswith("$"):
         return line.removeprefix("$") + ";"

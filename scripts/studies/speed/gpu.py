@@ -2,6 +2,8 @@
 
 python scripts/studies/speed/gpu.py --prepare FOLDER   # anywhere: the kernel, rows and the CPU's results
 python scripts/studies/speed/gpu.py --on-card FOLDER   # needs numpy, PyTorch and cuda-core alone; some minutes
+python scripts/studies/speed/gpu.py --envs             # environments on a card; needs the whole package there
+python scripts/recipes/with_cleanrl.py --device cuda   # a training that stays on it
 """
 
 from __future__ import annotations
@@ -98,6 +100,32 @@ def speeds(folder: Path, device: Any, ptx: str) -> Iterator[tuple[int, int, floa
             yield rows, block, rows * TIMED / best, ended.count_nonzero().item() / rows
 
 
+def envs_on_card(place: str = "cuda", sizes: tuple[int, ...] = SIZES, steps: int = TIMED) -> int:
+    """Print whether environments on the present GPU have the CPU's bits, and their speeds; 1 if a bit differs."""
+    import gymnasium as gym
+    import torch
+
+    import jackbox_env  # noqa: F401  # registers JackInBox-v0
+
+    keywords: Any = {"fidelity": "exact", "task": TASK, "episode_steps": 2 * steps // 3}
+    wrong = 0
+    card, cpu = (gym.make_vec("JackInBox-v0", 256, device=one, **keywords) for one in ("cuda", None))
+    both = zip(card.reset(seed=0)[:1], cpu.reset(seed=0)[:1], strict=True)
+    for _ in range(steps + 1):
+        wrong += sum(not np.array_equal(one.cpu().numpy(), other) for one, other in both)
+        actions = cpu.action_space.sample()
+        both = zip(card.step(actions)[:4], cpu.step(actions)[:4], strict=True)
+    print(f"{wrong} of {4 * steps + 1} arrays of 256 environments differ from the CPU's", flush=True)
+    for rows in sizes:
+        envs, actions = gym.make_vec("JackInBox-v0", rows, device="cuda", **keywords), torch.rand(rows, device=place)
+        envs.reset(seed=0)
+        begin = time.perf_counter()
+        for _ in range(steps):
+            envs.step(2.0 * actions - 1.0)
+        print(f"{rows} environments: {rows * steps / (time.perf_counter() - begin):.3g} steps a second", flush=True)
+    return 1 if wrong else 0
+
+
 def on_card(folder: Path) -> int:
     """Print what the present GPU computes, and how fast; 1 if a bit differs."""
     import torch
@@ -121,7 +149,10 @@ if __name__ == "__main__":
     half = parser.add_mutually_exclusive_group(required=True)
     half.add_argument("--prepare", type=Path, metavar="FOLDER")
     half.add_argument("--on-card", type=Path, metavar="FOLDER")
+    half.add_argument("--envs", action="store_true")
     arguments = parser.parse_args()
+    if arguments.envs:
+        sys.exit(envs_on_card())
     if arguments.on_card:
         sys.exit(on_card(arguments.on_card))
     prepare(arguments.prepare)

@@ -1,0 +1,348 @@
+"""The vector environment on a GPU, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=65536, device="cuda")``.
+
+One thread makes the decision of one environment, by ``gpu/decision.py``. What a GPU does not compute, such as feet at
+rest, the CPU does, from the same numbers and with the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import ArrayLike
+
+from jackbox_env.envs.arguments import actions_of, options_of, seeds_of, states_of, times_of
+from jackbox_env.envs.compiled_batch import ExactBatch
+from jackbox_env.envs.repeated_step import RepeatedStep
+from jackbox_env.envs.scene_table import SceneTable
+from jackbox_env.envs.settings import ReadOnly, Settings
+from jackbox_env.envs.vector import JackInBoxVectorEnv
+from jackbox_env.exact import pcg64, run
+from jackbox_env.exact.step import CONSTANT
+from jackbox_env.exact.threads import Halt, run_blocks
+from jackbox_env.exact.workspace import (
+    CONTROL_SHARES,
+    DECISIONS,
+    HEIGHT,
+    OVER,
+    STEPS,
+    TIME,
+    Call,
+    Results,
+    Scenes,
+    Status,
+    new_memory,
+)
+from jackbox_env.gpu import decision, ptx
+from jackbox_env.jit.compiler import compiled, kinds_of
+from jackbox_env.model.scene import Scene
+from jackbox_env.model.states import as_restored
+from jackbox_env.planning.card import checked
+from jackbox_env.simulators.exact import NO_PIECES
+from jackbox_env.simulators.plain_functions import Interface
+from jackbox_env.simulators.users_functions import functions_together, name_of
+from jackbox_env.tools import checks as check
+
+Tensor = Any  # of PyTorch, which is imported when an environment is made
+_NOTHING = (0,) * 25  # words of the memory of ``exact.workspace.Arguments``, which each thread has itself
+
+
+class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
+    """Environments on a GPU, with tensors in place of arrays: the bits of :class:`.JackInBoxVectorEnv`.
+
+    Args:
+        num_envs: number of environments N.
+        device: "cuda", the present GPU.
+        settings: the other arguments of :class:`.JackInBoxVectorEnv`, with ``fidelity="exact"``.
+
+    Raises:
+        TypeError, ValueError: an argument out of its range, or that only environments on the CPU have.
+        RuntimeError: there is no GPU or driver.
+    """
+
+    num_envs, autoreset_mode, device = ReadOnly(), ReadOnly(), ReadOnly()
+
+    def __init__(self, num_envs: int = 1, *, device: str = "cuda", **settings: Any) -> None:
+        checked(device)
+        with check.extra('device="cuda"', "PyTorch", "gpu"):
+            from jackbox_env.gpu import device as card
+        self._card: Any = card
+        cpu = JackInBoxVectorEnv(num_envs, **settings)
+        refuse(cpu)
+        batch = cpu._batch
+        assert isinstance(batch, ExactBatch)
+        self._settings = {**cpu._settings, "device": device}
+        self.metadata = cpu.metadata
+        self.single_observation_space, self.single_action_space = cpu.single_observation_space, cpu.single_action_space
+        self.observation_space, self.action_space = cpu.observation_space, cpu.action_space
+        self.interface, self._batch, self._mode = cpu._interface, batch, cpu.autoreset_mode
+        self._rules = batch._rules._replace(score=0, observe=0, act=0, patience=np.inf)
+        scenes = batch._present.scenes.originals
+        table = SceneTable(scenes, cpu.randomize is not None, (num_envs, HEIGHT, 1), num_envs, self._rules.dt)
+        self._table, self._shared = table, not table.several
+        self._values, self._scene_params = self._tensor(table.values), self._tensor(table.scene_params)
+        drawn = batch._randomize
+        self._ranges = self._tensor(drawn.table if drawn else np.zeros((0, 3)))
+        self._derived = self._tensor(np.array([drawn.derived(scenes[0])] if drawn else [], np.bool_).reshape(-1, 2))
+        self._words = self._tensor(pcg64.fresh(num_envs).view(np.int64))
+        self._blocks = self._tensor(np.zeros((num_envs, HEIGHT, 1)))
+        self._numbers, self._kinds = (
+            self._tensor(np.arange(num_envs)),
+            self._tensor(np.full(len(table.values), CONSTANT)),
+        )
+        space: Any = self.single_action_space
+        ends = (space.low, space.high) if self.interface.action.size else ([0.0], [space.n - 1.0])
+        self._bounds = [self._tensor(np.array(one, np.float64)) for one in ends]
+        self._ready = False
+        self._decide, self._begin = (card.launcher(code) for code in codes_of(self.interface))
+
+    def _tensor(self, array: Any) -> Tensor:
+        return self._card.torch.from_numpy(np.array(array, order="C")).to(self._card.PLACE)
+
+    # -- the simulated systems ----------------------------------------------------------------------------------------
+
+    @property
+    def states(self) -> Tensor:
+        """A copy of all states, float64, shape (N, 12), SI units."""
+        return self._blocks[:, :12, 0].clone()
+
+    @property
+    def times(self) -> Tensor:
+        """A copy of all times [s], shape (N,)."""
+        return self._blocks[:, TIME, 0].clone()
+
+    def scene_of(self, number: int) -> Scene:
+        """The present scene of one environment.
+
+        Raises:
+            TypeError, ValueError: there is no such environment.
+        """
+        number = check.whole("number", number, at_least=0, at_most=self.num_envs - 1)
+        return self._table.scene_of(number, self._values[self._row(number)][0].cpu().numpy())
+
+    def _row(self, number: int) -> slice:
+        """The row of an environment's scene."""
+        return slice(None) if self._shared else slice(number, number + 1)
+
+    def set_states(self, states: ArrayLike, times: ArrayLike) -> None:
+        """Set all states, shape (12,) or (N, 12), and times [s], a number or shape (N,), as on the CPU.
+
+        Raises:
+            TypeError, ValueError: unusable values. All environments are unchanged.
+        """
+        every, blocks = np.ones(self.num_envs, np.bool_), self._blocks.clone()
+        placed = states_of(self.num_envs, "states", states, every, as_restored)(self.scene_of)
+        blocks[:, TIME, 0] = self._tensor(times_of(self.num_envs, "times", times, every))
+        blocks[:, :12, 0] = self._tensor(placed)
+        for row in (STEPS, DECISIONS, OVER):
+            blocks[blocks[:, OVER, 0] != 0.0, row] = 0.0
+        self._blocks = blocks
+
+    # -- Gymnasium's methods ------------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Start an episode in each environment.
+
+        Args:
+            seed: s for the seeds s + i, or a list of ints and None.
+            options: none.
+
+        Raises:
+            TypeError, ValueError: an unusable seed or option. All environments are unchanged.
+        """
+        options_of(options, ())
+        seeds, words = seeds_of(self.num_envs, seed), self._words.cpu().numpy().copy().view(np.uint64)
+        for number, one in enumerate(seeds):
+            if one is not None:
+                words[number] = pcg64.seeded(one)
+        observations = self._new(len(self.interface.observation.names), kind="float32")
+        chosen = self._new(kind="bool").fill_(True)
+        self._commit(self._begun(chosen, self._tensor(words.view(np.int64)), self._new(HEIGHT, 1), observations))
+        self._ready = True
+        return observations, {"duration": self._new(), "_duration": chosen}
+
+    def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Make a decision in each environment under ``actions``, of any library with DLPack, shape (N, n) or (N,).
+
+        ``infos["left_to_cpu"]`` has the number of environments that the CPU has stepped.
+
+        Raises:
+            TypeError, ValueError, JackLostError, jackbox_env.TaskError, RuntimeError: as on the CPU.
+        """
+        if not self._ready:
+            raise RuntimeError("step must come after a reset of all environments, got none yet")
+        waiting = self._blocks[:, OVER, 0] != 0.0
+        controls = self._controls(actions, waiting)
+        several = self._rules.steps > 1
+        before, after = self._blocks.clone() if several else self._blocks, self._new(HEIGHT, 1)
+        filled = self._results(self.num_envs, several)
+        left = self._played(before, after, controls, filled)
+        after = after if self._rules.steps & 1 else before
+        made = after[:, STEPS, 0] - self._blocks[:, STEPS, 0]
+        durations = (made if several else (~waiting).double()) * self._rules.dt
+        ended = filled.terminations | filled.truncations
+        infos: dict[str, Any] = {"duration": durations, "_duration": ended | True, "left_to_cpu": left}
+        restarting = waiting
+        if self._mode is AutoresetMode.SAME_STEP and bool(ended.any()):
+            final = {"duration": durations * ended, "_duration": ended}
+            infos |= {"final_obs": filled.observations.clone(), "_final_obs": ended, "final_info": final}
+            infos |= {"_final_info": ended, "duration": durations * ~ended}
+            restarting = ended
+        self._commit(self._begun(restarting, self._words.clone(), after, filled.observations))
+        rewards = filled.returns if several else filled.rewards[0]
+        return filled.observations, rewards, filled.terminations, filled.truncations, infos
+
+    # -- kernels ------------------------------------------------------------------------------------------------------
+
+    def _new(self, *shape: int, kind: str = "float64") -> Tensor:
+        """Zeros for each environment."""
+        torch = self._card.torch
+        return torch.zeros((self.num_envs, *shape), dtype=getattr(torch, kind), device=self._card.PLACE)
+
+    def _results(self, count: int, several: bool) -> Any:
+        """Tensors for a step of so many environments, as ``workspace.Results``; ``several``: control steps."""
+        torch = self._card.torch
+        kinds = {np.float64: torch.float64, np.float32: torch.float32, np.bool_: torch.bool, np.int64: torch.int64}
+        shapes = {
+            "observations": (count, len(self.interface.observation.names)), "rewards": (1, count),
+            "returns": (count * several,), "terminations": (count,), "truncations": (count,),
+        }  # fmt: skip
+        return Results(
+            *(
+                torch.zeros(shapes.get(name, empty.shape), dtype=kinds[empty.dtype.type], device=self._card.PLACE)
+                for name, empty in Results()._asdict().items()
+            )
+        )
+
+    def _controls(self, actions: Any, waiting: Tensor) -> Tensor:
+        """Actions as float64, shape (n, N), contiguous, checked as on the CPU; tensors on the GPU do not leave it."""
+        action, count = self.interface.action, self.num_envs
+        if hasattr(actions, "__dlpack__") and not isinstance(actions, np.ndarray):
+            actions = self._card.torch.from_dlpack(actions)
+            shaped = actions.shape == (count, max(action.size, 1)) or (action.size < 2 and actions.shape == (count,))
+            if shaped and actions.is_floating_point() == bool(action.size):
+                values = actions.to(self._card.PLACE, self._values.dtype).reshape(count, -1)
+                if self._rules.controls == CONTROL_SHARES:
+                    return values.T.contiguous()
+                clipped = values.clamp(*self._bounds)
+                usable = values.isfinite() if action.size else values == clipped
+                if bool((usable.all(dim=1) | waiting).all()):
+                    return clipped.T.contiguous()
+            actions = actions.cpu().numpy()
+        return self._tensor(actions_of(count, action, actions, waiting.cpu().numpy()))
+
+    def _played(self, before: Tensor, after: Tensor, controls: Tensor, filled: Any) -> int:
+        """Fill in ``after`` or ``before``, and results; return the number of environments that the CPU has stepped."""
+        ended, made = self._new(kind="int64"), self._new(kind="int64")
+        none, no_counts = self._tensor(np.zeros((0, NO_PIECES[0].shape[1]))), self._tensor(np.zeros(0, np.int64))
+        scenes = self._values, self._scene_params, self._kinds, none, no_counts, no_counts
+        words = self._card.words_of_call(
+            ended, made, *scenes, *self._rules, before, after, controls, *filled, *_NOTHING
+        ).to(self._card.PLACE)
+        self._decide(words.data_ptr(), self.num_envs)
+        rows = ended.nonzero()[:, 0]
+        failures = [(int(made[row]), row, int(ended[row])) for row in rows.tolist() if ended[row] != Status.UNCOMPILED]
+        left = rows[ended[rows] == Status.UNCOMPILED]
+        if len(left):
+            failures += self._by_cpu(left, after if self._rules.steps & 1 else before, controls, filled)
+        if failures:
+            made_steps, number, status = min(failures)
+            row = self._blocks[number, :, 0].cpu().numpy()
+            step = RepeatedStep(
+                number, self.scene_of(number), self.interface, self._rules.dt, row, controls[:, number].cpu().numpy()
+            )
+            raise step.failure(status, made_steps, filled.observations.cpu().numpy())
+        return len(left)
+
+    def _by_cpu(self, rows: Tensor, result: Tensor, controls: Tensor, filled: Any) -> list[tuple[int, int, int]]:
+        """Step rows by the CPU into the blocks of the result; return failures: steps made, environment, status."""
+
+        def own(tensor: Tensor) -> Any:
+            return np.ascontiguousarray((tensor if len(tensor) == 1 and self._shared else tensor[rows]).cpu().numpy())
+
+        count, failures = len(rows), list[tuple[int, int, int]]()
+        blocks = self._blocks[rows].cpu().numpy()
+        other = np.zeros_like(blocks)
+        results = Results(*(one.cpu().numpy() for one in self._results(count, self._rules.steps > 1)))
+        call = Call(new_memory(1))
+        scenes = Scenes(own(self._values), own(self._scene_params), own(self._kinds), *NO_PIECES)
+        acting = np.ascontiguousarray(controls[:, rows].cpu().numpy())
+        call.set_arguments(scenes, self._batch._rules, blocks, other, acting, results)
+        low, loop = 0, compiled(run.run)
+        while low < count:
+            ended, number, made, *_ = run_blocks(loop, [call], 0, low, count, Halt())
+            if not ended:
+                break
+            failures.append((made, int(rows[number]), ended))
+            low = number + 1
+        result[rows] = self._tensor(other if self._rules.steps & 1 else blocks)
+        for name in ("observations", "returns", "terminations", "truncations"):
+            if len(made_here := getattr(results, name)):
+                getattr(filled, name)[rows] = self._tensor(made_here)
+        filled.rewards[0, rows] = self._tensor(results.rewards[0])
+        return failures
+
+    def _begun(self, chosen: Tensor, words: Tensor, blocks: Tensor, observations: Tensor) -> tuple[Tensor, ...]:
+        """Begin episodes in ``blocks``, by generators with these ``words``; return what :meth:`_commit` commits."""
+        ended, values, params = self._new(kind="int64"), self._values, self._scene_params
+        if len(self._ranges):
+            values, params = values.clone(), params.clone()
+        call = self._card.words_of_call(
+            ended, chosen, self._numbers, self._rules.dt, values, params, self._ranges, self._derived, words, blocks,
+            observations,
+        ).to(self._card.PLACE)  # fmt: skip
+        self._begin(call.data_ptr(), self.num_envs)
+        for number in ended.nonzero()[:1, 0].tolist():  # the CPU raises the error
+            numbers, seen = np.array([number]), observations.cpu().numpy()
+            self._batch._observe(values[self._row(number)].cpu().numpy(), blocks.cpu().numpy(), numbers, seen, None)
+        return words, values, params, blocks
+
+    def _commit(self, begun: tuple[Tensor, ...]) -> None:
+        self._words, self._values, self._scene_params, self._blocks = begun
+
+
+def refuse(envs: JackInBoxVectorEnv) -> None:
+    """Raise ValueError for what environments on a GPU do not have."""
+    batch, scene, task = envs._batch, envs.scene_of(0), envs._interface.task
+    lacking = {
+        f"fidelity={envs.fidelity!r}, or render_mode={envs.render_mode!r}": not isinstance(batch, ExactBatch),
+        "with_infos": envs.with_infos,
+        "autoreset_mode DISABLED": envs.autoreset_mode is AutoresetMode.DISABLED,
+        'torque="chirp"': envs.torque == "chirp",
+        "Pixels": envs._interface.pixels is not None,
+        "a Task with a start": task.start is not None,
+        "a function as randomize": callable(envs.randomize),
+        "a scene for each environment": isinstance(batch, ExactBatch) and len(batch._present.scenes.originals) > 1,
+        "forces of a Drive": scene.drive is not None and scene.drive.force_bound > 0.0,
+    }
+    for what, is_lacking in lacking.items():
+        if is_lacking:
+            raise ValueError(f'device="cuda" does not have {what}: make these environments without device')
+
+
+@lru_cache(maxsize=8)  # a user's functions are compiled for a minute
+def codes_of(interface: Interface) -> tuple[str, str]:
+    """PTX of ``decide`` and of ``begin`` with the functions of a task, an observation and an action.
+
+    Raises:
+        TypeError: a function needs more than arithmetic.
+    """
+    task, observation, action, _ = interface
+    plain = name_of(action) == "torque"
+    actor = decision.no_actor_of if plain else decision.actor_of
+    owners: list[Any] = [task, observation, *[action] * (not plain)]
+    users = functions_together(owners, {**decision.OF_DECISIONS, "block_actor": actor})
+    codes = []
+    for function, example in ((decision.decide, decision.arguments()), (decision.begin, (0, 0))):
+        names = [function.__name__, *(name_of(one) for one in owners), "torque" * plain]
+
+        def made(function: Any = function, example: Any = example) -> str:
+            return ptx.checked(*users.intermediate_code(function, kinds_of(example)), "sm_80", example)
+
+        codes.append(ptx.stored("-".join(names), made) if all(names[:3]) and names[-1] else made())
+    return codes[0], codes[1]
