@@ -79,6 +79,7 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         self.single_observation_space, self.single_action_space = cpu.single_observation_space, cpu.single_action_space
         self.observation_space, self.action_space = cpu.observation_space, cpu.action_space
         self.interface, self._batch, self._mode = cpu._interface, batch, cpu.autoreset_mode
+        self._decide, self._begin = (card.launcher(code) for code in codes_of(self.interface))
         self._rules = batch._rules._replace(score=0, observe=0, act=0, patience=np.inf)
         scenes = batch._present.scenes.originals
         table = SceneTable(scenes, cpu.randomize is not None, (num_envs, HEIGHT, 1), num_envs, self._rules.dt)
@@ -97,7 +98,6 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         ends = (space.low, space.high) if self.interface.action.size else ([0.0], [space.n - 1.0])
         self._bounds = [self._tensor(np.array(one, np.float64)) for one in ends]
         self._ready = False
-        self._decide, self._begin = (card.launcher(code) for code in codes_of(self.interface))
 
     def _tensor(self, array: Any) -> Tensor:
         return self._card.torch.from_numpy(np.array(array, order="C")).to(self._card.PLACE)
