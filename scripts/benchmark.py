@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
+import sys
+import traceback
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
+from tqdm import tqdm
 
 from agents.policies.network import TRAINED
 from jackbox_env.tools import checks as check
 from jackbox_env.tools.command_line import command_line
-from jackbox_env.tools.files import check_new_file, stamped, write_text
-from jackbox_env.tools.user_code import load, loaded
+from jackbox_env.tools.files import stamped, write_json
+from jackbox_env.tools.reading import first_line, read_json
+from jackbox_env.tools.user_code import is_object, load, loaded, texts_of
 
 
 @dataclass(frozen=True)
@@ -33,48 +38,44 @@ class Arguments:
     episodes: int = 256
     """Episodes of each trained model."""
     runs: Path | None = None
-    """Folder of finished trainings; what is finished there is not done again. None: a new one in runs."""
-    json: Path | None = None
-    """New file for the trainings' results; None: results.json in that folder."""
-
-
-def trained(train: str, code: str, task: str, seed: int, episodes: int) -> dict[str, Any]:
-    """One training by the function of that name; ``code`` is its file's digest: a changed file is another trial."""
-    from scripts.studies.benchmark.trainings import measured
-
-    return measured(train, loaded(train), task, seed, episodes)
+    """Folder of finished trainings, a file each; what is there, of the same code, is not repeated. None: a new one."""
 
 
 @command_line
 def main() -> None:
     """Parse, train, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
+    name, episodes = arguments.train, check.whole("episodes", arguments.episodes, at_least=4)
     check.whole("seeds", arguments.seeds, at_least=1)
-    check.whole("episodes", arguments.episodes, at_least=4)
     check.known_keys("tasks", arguments.tasks, TRAINED)
-    load([arguments.train])
-    if not callable(loaded(arguments.train)):
-        raise TypeError(f"train must name a function, got {arguments.train}")
-    from agents.runners import in_turn
+    if not is_object(name):
+        raise ValueError(f"train must be file.py:function, got {name}")
+    load([name])
+    train = loaded(name)
+    try:
+        inspect.signature(train).bind("spin", 0)
+    except TypeError as error:
+        raise TypeError(f"{name} must be a function of a task and a seed: {error}") from error
     from scripts.studies.benchmark.benchmark import DOCS, STUDY, learnt
-    from scripts.studies.study import as_text, by_part, measured, swept
+    from scripts.studies.benchmark.trainings import measured
 
     runs = (arguments.runs or stamped("benchmark")).resolve()
-    file = arguments.json or runs / "results.json"
     runs.mkdir(parents=True, exist_ok=True)
-    check_new_file(file)
-    code = hashlib.sha256(Path(arguments.train.rpartition(":")[0]).read_bytes()).hexdigest()
-    trials = [
-        {"part": "trainings", "train": arguments.train, "code": code, "task": task, "seed": seed,
-         "episodes": arguments.episodes}
-        for seed in range(arguments.seeds) for task in arguments.tasks
-    ]  # fmt: skip
-    work = partial(measured, {"trainings": trained}, STUDY.packages)
-    record = by_part(STUDY, swept(runs / "sweep", trials, (), work, in_turn, True))
-    write_text(file, as_text(record))
+    code = hashlib.sha256(repr((name, texts_of([name]), episodes)).encode()).hexdigest()[:12]
+    print(f"Trainings are stored in {runs}; after an interruption --runs {runs} continues", file=sys.stderr)
+    rows = []
+    for seed, task in tqdm([*product(range(arguments.seeds), arguments.tasks)], desc=name, unit="training"):
+        file = runs / f"{task}-{seed}-{code}.json"
+        if not file.is_file():
+            try:
+                row = measured(Path(name.rpartition(":")[0]).stem, train, task, seed, episodes)
+            except Exception as error:
+                traceback.print_exc()
+                raise RuntimeError(f"the training on {task} with seed {seed} failed: {first_line(error)}") from error
+            write_json(file, row)
+        rows.append(read_json(file))
     stored = STUDY.read(DOCS)
-    print(learnt({**stored, "trainings": [*stored["trainings"], *record["trainings"]]}))
-    print(f"Written: {file}")
+    print(learnt({**stored, "trainings": [*stored["trainings"], *rows]}))
 
 
 if __name__ == "__main__":

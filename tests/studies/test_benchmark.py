@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -56,9 +57,12 @@ def test_rattle_pays_a_jack_that_flies_to_and_fro_the_reward_on_the_page(speed: 
         ((0.0, -4.9, 4.9), "equal"),
         ((-9.0, -12.0, -5.1), "worse"),
         ((9.0, 5.1, 12.0), "better"),
-        ((0.0, -10.0, 10.0), "undecided: about 64 trainings would do"),  # half the width: four times as many, twice
-        ((-1.0, -9.0, 0.0), "undecided: about 64 trainings would do"),  # by the longer side of the interval
-        ((5.0, 3.0, 7.0), "undecided: more than 1,000 trainings would do"),
+        (
+            (0.0, -10.0, 10.0),
+            "undecided (64)",
+        ),  # half the width: four times as many, twice
+        ((-1.0, -9.0, 0.0), "undecided (64)"),  # by the longer side of the interval
+        ((5.0, 3.0, 7.0), "undecided (more than 1,000)"),
     ],
 )
 def test_a_difference_is_judged_by_its_interval(difference: tuple[float, float, float], wanted: str) -> None:
@@ -89,12 +93,22 @@ def test_an_algorithm_of_ones_own_is_evaluated_from_starts_that_it_cannot_know()
     ("trained", "sentence"),
     [
         (3.0, "train must return a model with predict or a function, got 3.0"),
+        (({}, np.zeros), "train must return a model and a dict of keywords, got ({}, <built-in function zeros>)"),
+        ((1, 2, 3), "train must return a model with predict or a function, got (1, 2, 3)"),
         ((np.zeros, {"fidelity": "coarse"}), "accepts only 'observation', 'action', 'action_repeat', got 'fidelity'"),
     ],
 )
 def test_what_is_no_model_is_refused(trained: Any, sentence: str) -> None:
     with pytest.raises((TypeError, ValueError), match=re.escape(sentence)):
         trainings.playing(trained)
+
+
+def test_observations_are_normalized_as_the_model_was_trained() -> None:
+    model = Mock(**{"predict.side_effect": lambda seen, **_: (seen, None)})
+    normalized = model.get_vec_normalize_env.return_value
+    normalized.normalize_obs, normalized.observation_space = np.negative, gym.spaces.Box(-1.0, 1.0, (1,))
+    acting = trainings.playing((model, {"action_repeat": 2}))
+    assert (acting.policy.predict(np.ones((3, 1)))[0].sum(), acting.keywords) == (-3.0, {"action_repeat": 2})
 
 
 @pytest.mark.parametrize("contact", ["exact", "pymunk"])

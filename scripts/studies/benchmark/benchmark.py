@@ -139,7 +139,7 @@ def verdict(difference: tuple[float, float, float], margin: float, count: int) -
         return BETTER
     arm, left = max(high - middle, middle - low), max(abs(margin - abs(middle)), 1e-9)
     needed = max(count + 1, math.ceil(2.0 * count * (arm / left) ** 2))  # the 2: (1.96 + 0.84)^2 / 1.96^2
-    return f"undecided: {f'about {needed:,}' if needed < 1000 else 'more than 1,000'} trainings would do"
+    return f"undecided ({f'{needed:,}' if needed < 1000 else 'more than 1,000'})"
 
 
 def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
@@ -199,12 +199,9 @@ def learnt(record: study.Record, setting: str = "default") -> str:
         every = [row for rows in by_task.values() for row in rows]
         counts = sorted({len(rows) for rows in by_task.values()})
         spent = np.mean([row["processor_seconds"] for row in every])
-        lines.append((name, " to ".join(map(str, counts)), *cells, score, f"{spent:.0f}"))
-    return (
-        table(("algorithm", "trainings", *TRAINED, "score", "seconds"), lines)
-        if lines
-        else "No training is stored yet."
-    )
+        decisions = " or ".join(dict.fromkeys(f"{row['steps'][-1]:,}" for row in every if row["steps"][-1]))
+        lines.append((name, " to ".join(map(str, counts)), *cells, score, decisions, f"{spent:.0f}"))
+    return table(("algorithm", "trainings", *TRAINED, "score", "decisions", "seconds"), lines) if lines else ""
 
 
 def filled(record: study.Record) -> dict[str, Any]:
@@ -273,7 +270,7 @@ def _table(record: study.Record) -> str:
 
 
 def _range(values: Interval, digits: int = 1) -> str:
-    middle, low, high = (f"{value:.{digits}f}" for value in values)
+    middle, low, high = (f"{value:z.{digits}f}" for value in values)
     return f"{middle} ({low} to {high})" if math.isfinite(values[1]) else middle
 
 

@@ -19,6 +19,7 @@ import gymnasium as gym
 import torch
 
 from agents.evaluation.returns import evaluate
+from agents.policies.models import ModelPolicy
 from agents.policies.network import SHIPPED
 from agents.policies.registry import find_policy
 from agents.policies.scripted import PLAIN, PolicyWithEnv, StatelessPolicy
@@ -68,8 +69,12 @@ def playing(trained: Any) -> PolicyWithEnv:
     Raises:
         TypeError, ValueError: it is no model, or has other keywords.
     """
-    policy, keywords = trained if isinstance(trained, tuple) else (trained, {})
+    policy, keywords = trained if isinstance(trained, tuple) and len(trained) == 2 else (trained, {})
+    if not isinstance(keywords, dict):
+        raise TypeError(f"train must return a model and a dict of keywords, got {check.shown(trained)}")
     check.known_keys("train's keywords", keywords, INTERFACE)
+    if (normalized := getattr(policy, "get_vec_normalize_env", lambda: None)()) is not None:
+        policy = ModelPolicy(policy, normalized.observation_space, [normalized])
     if not hasattr(policy, "predict"):
         if not callable(policy):
             raise TypeError(f"train must return a model with predict or a function, got {check.shown(policy)}")
@@ -90,7 +95,7 @@ def measured(
     for trained in made if isinstance(made, Iterator) else [made]:
         spent += seconds()
         acting = playing(trained)
-        steps = getattr(acting.policy, "num_timesteps", None)
+        steps = getattr(getattr(acting.policy, "model", acting.policy), "num_timesteps", None)
         points.append((steps, spent, evaluate(name, acting, keywords, CURVE_EPISODES, derived_seed("curve")).mean))
         spent -= seconds()
     if not points:
@@ -98,9 +103,10 @@ def measured(
     starts = secrets.randbits(32)
     row = evaluate(name, acting, keywords, episodes, starts)
     curve = dict(zip(("steps", "seconds", "curve"), map(list, zip(*points, strict=True)), strict=True))
+    chosen = {key: str(value) for key, value in acting.keywords.items()}
     return {
         "algorithm": name, "setting": setting, "task": task, "seed": seed, "episodes": episodes, "starts": starts,
-        "mean": row.mean, **curve, "processor_seconds": points[-1][1], **_provenance(),
+        "mean": row.mean, "keywords": chosen, **curve, "processor_seconds": points[-1][1], **_provenance(),
     }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Write docs/fitting.md: how often the intervals of fits contain the truth, and what fits cost.
 
-450 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
+300 synthetic recordings are fitted. Then come small labs, some with a wrong value of a field that is not fitted, and
 the recordings of a camera.
 """
 
@@ -20,21 +20,22 @@ from scripts.studies.pages import table
 
 HEADS = "fits", "converged", "95 % intervals that contain the truth", "time of a fit", "error"
 STARTS = "start", "fits", "converged", HEADS[2], "farthest [standard deviations]", "time for 4 s"
-PEOPLE = (False, "", True), (True, "", True), *((False, wrong, False) for wrong in WRONGS)  # the last: of all files
+# Whether the start is the true one, what is wrong, and how many files.
+PEOPLE = (False, "", 300), (True, "", 100), *((False, wrong, 60) for wrong in WRONGS)
 LENGTHS = "recording", "processor time", "memory", "width of the mass's interval", "converged and right", "left out"
 
 
 def trials(arguments: study.Arguments) -> study.Trials:
     """All fits of the page, each a trial; the files at a rate are one."""
-    kinds = {"": 450} | {lab: 60 if wrong else 150 for lab, wrong in LABS.items()}
+    kinds = {"": 300} | {lab: 60 if wrong else 100 for lab, wrong in LABS.items()}
     fits: study.Trials = [
         {"part": "fits", "lab": lab, "seed": seed} for lab, count in kinds.items() for seed in range(count)
     ]
-    files = [{"part": "files", "rate": rate, "count": 40} for rate in (60.0, 30.0)]
+    files = [{"part": "files", "rate": rate, "count": 20} for rate in (60.0, 30.0)]
     people: study.Trials = [
         {"part": "people", "seed": seed, "verdict": True, "true_start": true_start, "wrong": wrong}
-        for true_start, wrong, many in PEOPLE
-        for seed in range(300 if many else 60)
+        for true_start, wrong, count in PEOPLE
+        for seed in range(count)
     ]
     lengths = [{"part": "lengths", "seconds": seconds} for seconds in (4.0, 40.0, 400.0)]
     return [*fits, *files, *people, *lengths, {"part": "printed"}]
