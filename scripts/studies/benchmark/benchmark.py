@@ -250,7 +250,7 @@ def _missing(record: study.Record) -> Iterable[str]:
         by_task = of_algorithms(record, setting).get(name, {})
         lacking = sum(count - len(by_task.get(task, [])) for task in TRAINED)
         if lacking and (setting == "default" or name in HARDER):
-            yield f"{lacking} of {name} ({setting})"
+            yield f"{lacking} {name}{f' ({setting})' * (setting != 'default')}"
 
 
 def _rollouts(searches: dict[str, dict[str, Any]]) -> str:
