@@ -53,6 +53,10 @@ _NOTHING = (0,) * 25  # words of the memory of ``exact.workspace.Arguments``, wh
 class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
     """Environments on a GPU, with tensors in place of arrays: the bits of :class:`.JackInBoxVectorEnv`.
 
+    Observations and actions need + - * / and square roots alone, as "state", "landing", "torque" and "discrete" do.
+    There are no ``impacts``, no options of ``reset``, and no ``set_states`` of some; what :func:`refuse` lists is
+    refused.
+
     Args:
         num_envs: number of environments N.
         device: "cuda", the present GPU.
