@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import sys
 import traceback
 from dataclasses import dataclass
@@ -52,10 +51,6 @@ def main() -> None:
         raise ValueError(f"train must be file.py:function, got {name}")
     load([name])
     train = loaded(name)
-    try:
-        inspect.signature(train).bind("spin", 0)
-    except TypeError as error:
-        raise TypeError(f"{name} must be a function of a task and a seed: {error}") from error
     from scripts.studies.benchmark.benchmark import DOCS, STUDY, learnt
     from scripts.studies.benchmark.trainings import measured
 

@@ -27,9 +27,7 @@ DOCS = Path(__file__).parents[3] / "docs"
 FIDELITIES = ("exact", "coarse", "balanced", "fine")
 MARGIN = 0.05  # of the return above zero torque: what is called equal, chosen before the first training
 RESAMPLES = 20_000
-FEWEST = 4  # trainings that are compared
-WITHIN = f"{100.0 * MARGIN:g} %"
-EQUAL, WORSE, BETTER = "equal", "worse", "better"
+FEWEST, PLANNED = 4, 32  # trainings that are compared; episodes of the planner, a second or two each
 SEEDS = {SHIPPED_PPO: 10, "PPO": 10, "TQC": 5, "SAC": 5, "DQN": 5}
 HIDDEN, TRAININGS = "hidden scene", ("trainings", "fidelities")  # a setting; parts whose rows are trainings
 HARDER = ("PPO", "TQC")  # that are also trained in the other settings
@@ -52,22 +50,19 @@ class Arguments(study.Arguments):
     """Settings to train in."""
     episodes: int = 256
     """Episodes of each policy and of each trained model."""
-    planner_episodes: int = 32
-    """Episodes of the planner on each task and contact model, one or two seconds of computing each."""
 
     def __post_init__(self) -> None:
         """Raise TypeError or ValueError for what cannot be measured."""
         for name, known in (("algorithms", ALGORITHMS), ("tasks", TRAINED), ("settings", SETTINGS)):
             check.known_keys(name, getattr(self, name), known)
-        for name in ("episodes", "planner_episodes"):
-            check.whole(name, getattr(self, name), at_least=4)
+        check.whole("episodes", self.episodes, at_least=4)
         check.whole("seeds", 1 if self.seeds is None else self.seeds, at_least=1)
 
 
 def trials(arguments: Arguments) -> study.Trials:
     """All trials of the page but for the trainings that are stored."""
     runs, episodes = str(arguments.runs), arguments.episodes
-    counts = {**dict.fromkeys(policies.POLICIES, episodes), "planner": arguments.planner_episodes}
+    counts = {**dict.fromkeys(policies.POLICIES, episodes), "planner": PLANNED}
     every: study.Trials = [
         {"part": "policies", "task": task, "contact": contact, "policy": policy, "episodes": count}
         for task, contact, (policy, count) in product(TRAINED, policies.CONTACTS, counts.items())
@@ -132,11 +127,11 @@ def verdict(difference: tuple[float, float, float], margin: float, count: int) -
     """Equal, better or worse, if the interval decides it; else how many trainings would, with a probability of 80 %."""
     middle, low, high = difference
     if -margin <= low and high <= margin:
-        return EQUAL
+        return "equal"
     if high < -margin:
-        return WORSE
+        return "worse"
     if low > margin:
-        return BETTER
+        return "better"
     arm, left = max(high - middle, middle - low), max(abs(margin - abs(middle)), 1e-9)
     needed = max(count + 1, math.ceil(2.0 * count * (arm / left) ** 2))  # the 2: (1.96 + 0.84)^2 / 1.96^2
     return f"undecided ({f'{needed:,}' if needed < 1000 else 'more than 1,000'})"
@@ -231,7 +226,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "bound": record["spin_bound"],
         "reached": means["spin"]["planner"] / record["spin_bound"],
         "fast": [0.5 * fast, policies.rattle_at(0.5 * fast), policies.rattle_at(fast)],
-        "within": WITHIN,
+        "within": f"{100.0 * MARGIN:g} %",
         "decisions": DECISIONS,
         "fidelities": table(
             ("task", "trained on", "against exact", "verdict", "seconds"),
