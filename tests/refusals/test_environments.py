@@ -57,9 +57,8 @@ ARGUMENTS = [
     Refusal(
         lambda _: JackInBoxEnv(device="cuda"),
         TypeError,
-        "JackInBox-v0 has no argument 'device': it accepts contact, "
-        "substeps, scene, task, control_dt, torque, render_mode, fidelity, randomize, render_size, "
-        "render_overlay, observation, action, action_repeat, episode_steps",
+        "JackInBox-v0 has no argument 'device': it belongs to the native vector environment: "
+        'gymnasium.make_vec with vectorization_mode="vector_entry_point"',
     ),
     Refusal(
         lambda _: JackInBoxEnv(num_threads=2),
