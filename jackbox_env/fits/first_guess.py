@@ -22,6 +22,7 @@ from jackbox_env.model.states import (
     THETA_BOX,
     THETA_JACK,
     VX_BOX,
+    VX_JACK,
     VY_BOX,
     X_BOX,
     X_JACK,
@@ -33,6 +34,7 @@ from jackbox_env.model.states import (
 _MERGED = 45.0  # increase of the sum of squares up to which two pieces are one flight, six more numbers at the other
 _JACK, _PLACE = slice(X_JACK, RATES), slice(X_JACK, THETA_JACK)
 _LEAST_ROWS = 4  # of a flight that is used
+_SPIKE, _SPIKE_ROWS = 6.0, 7  # times noise and what is usual around, and in how many rows that is
 _FALLING = 6.0  # standard deviations of the acceleration of a flight, at least
 _BENT = 0.5  # share of the fall by which a flight may be bent; rest lacks all of it
 _CLOSE = 4  # rows from a flight's end to the next one's begin, at most
@@ -102,6 +104,30 @@ def flights_of(recording: Recording, scene: Scene, noise: Array) -> Flights | No
     middles = (first + last)[long] // 2
     middles[0] = first[long[0]]
     return Flights(first, last, lasting, lines, middles)
+
+
+def without_spikes(recording: Recording, scene: Scene, noise: Array) -> Recording:
+    """A recording, but nothing of the jack in rows in which it is off every line through two of the rows around.
+
+    Not where that is usual: a jack that rests in a box that turns is on no line.
+    """
+    straight = recording.states[:, _JACK] + falls(recording, scene.changed(drive=None))[:, _JACK]
+    states, rows = recording.states.copy(), np.flatnonzero(np.isfinite(straight).all(axis=1))
+    while len(rows) > _SPIKE_ROWS:
+        values, least = straight[rows] / noise[_JACK], np.full((len(rows), 3), np.inf)
+        for one, other in ((-2, -1), (-1, 1), (1, 2)):
+            at = np.arange(max(0, -one), len(rows) - max(0, other))
+            share = ((rows[at] - rows[at + one]) / (rows[at + other] - rows[at + one]))[:, None]
+            between = values[at] - values[at + one] * (1.0 - share) - values[at + other] * share
+            least[at] = np.minimum(least[at], abs(between) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
+        score = least.max(axis=1)
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(score, _SPIKE_ROWS // 2, mode="reflect"), _SPIKE_ROWS)
+        peaks = (score > _SPIKE * np.maximum(1.0, np.median(around, axis=1))) & (score >= around[:, 2:5].max(axis=1))
+        if not peaks.any():
+            break
+        states[rows[peaks], X_JACK:RATES] = states[rows[peaks], VX_JACK:] = np.nan
+        rows = rows[~peaks]
+    return Recording(states, recording.torques, recording.dt, recording.time, recording.impacts)
 
 
 def _merged(times: Any, values: Array) -> Indices:

@@ -165,7 +165,7 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
 def _bad_rows(search: Search) -> list[list[str]]:
     """By recording the rows of windows with a number that was discounted, each in a sentence."""
     sentences = list[list[str]]()
-    for number, (recording, modelled) in enumerate(zip(search.recordings, search.motions(), strict=True)):
+    for number, (recording, modelled) in enumerate(zip(search.given, search.motions(), strict=True)):
         off, of = abs(recording.states - modelled), f" of recording {number}" * (len(search.recordings) > 1)
         away = np.nan_to_num(off / search.noise[:12])
         sentences.append(

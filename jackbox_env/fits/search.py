@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jackbox_env.fits.first_guess import flights_of
-from jackbox_env.fits.least_squares import WIDTH, Indices, Rows, minimise
+from jackbox_env.fits.first_guess import flights_of, without_spikes
+from jackbox_env.fits.least_squares import FAR, WIDTH, Indices, Rows, minimise
 from jackbox_env.fits.observed import Recording, rough_noise
 from jackbox_env.fits.residuals import mean_squares, misfitting
 from jackbox_env.fits.shooting import Parameters, Shooting, Window, motions, units
@@ -40,13 +40,14 @@ class Search:
         seconds, steps = sum(len(one.states) * one.dt for one in recordings), sum(len(one.states) for one in recordings)
         # Steps that may still be evaluated.
         self.work: float = _MOST_OF_SECOND * max(_LEAST_SECONDS, seconds) + _MOST_OF_STEP * steps
-        self.recordings, self.parameters, self.known_noise = recordings, parameters, known_noise
+        self.given, self.parameters, self.known_noise = recordings, parameters, known_noise
         self.units = units(parameters.start)
         rough = rough_noise(recordings, np.append(self.units, 1.0))
         self.noise = np.where(np.isfinite(known_noise), known_noise, rough)
+        self.recordings = [without_spikes(one, parameters.start, self.noise) for one in recordings]
         self.flights = [  # which need gravity
             None if "gravity" in parameters.fields else flights_of(one, parameters.start, self.noise)
-            for one in recordings
+            for one in self.recordings
         ]
         self.windows: list[Window] = []
         self.left_out: list[Window] = []  # that the model does not explain
@@ -159,9 +160,9 @@ class Search:
 
 
 def _explained(rows: Rows, window: int) -> bool:
-    """Whether a window fits within the noise."""
+    """Whether a window fits within the noise, without a bad number: in a short one a wrong path may look like some."""
     square, most = mean_squares(rows, window + 1)
-    return bool(square[window] < most[window])
+    return bool(square[window] < most[window]) and not (rows.column[rows.window == window] == FAR).any()
 
 
 def link(windows: list[Window]) -> None:
