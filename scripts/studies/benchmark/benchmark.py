@@ -67,9 +67,15 @@ def trials(arguments: Arguments) -> study.Trials:
         {"part": "policies", "task": task, "contact": contact, "policy": policy, "episodes": count}
         for task, contact, (policy, count) in product(TRAINED, policies.CONTACTS, counts.items())
     ]
-    unobserved = {"part": "policies", "contact": "exact", "setting": HIDDEN}
     every += [
-        {**unobserved, "task": task, "policy": policy, "episodes": counts[policy]}
+        {
+            "part": "policies",
+            "contact": "exact",
+            "setting": HIDDEN,
+            "task": task,
+            "policy": policy,
+            "episodes": counts[policy],
+        }
         for task, policy in product(TRAINED, ("zero", "planner"))
     ]
     trained: study.Trials = [
@@ -151,7 +157,9 @@ def compared(record: study.Record) -> dict[tuple[str, str], dict[str, Any]]:
         above = float(_middle(best)) - earned(record, task, "zero")
         difference = interval(lambda one, other: _middle(one) - _middle(other), on_exact, best)
         rows[task, fidelity] = {
-            "share": None if fidelity == "exact" else [100.0 * part / above for part in difference],
+            "share": ""
+            if fidelity == "exact"
+            else "{:+.1f} % ({:+.1f} to {:+.1f})".format(*(100.0 * part / above for part in difference)),
             "verdict": "",
             "seconds": float(np.mean([row["processor_seconds"] for row in some])),
         }
@@ -231,7 +239,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "fidelities": table(
             ("task", "trained on", "against exact", "verdict", "seconds"),
             [
-                (task, fidelity, _against(row), row["verdict"], f"{row['seconds']:.0f}")
+                (task, fidelity, row["share"], row["verdict"], f"{row['seconds']:.0f}")
                 for (task, fidelity), row in fidelities.items()
             ],
         ),
@@ -267,10 +275,6 @@ def _table(record: study.Record) -> str:
 def _range(values: Interval, digits: int = 1) -> str:
     middle, low, high = (f"{value:z.{digits}f}" for value in values)
     return f"{middle} ({low} to {high})" if math.isfinite(values[1]) else middle
-
-
-def _against(row: dict[str, Any]) -> str:
-    return "" if row["share"] is None else "{:+.1f} % ({:+.1f} to {:+.1f})".format(*row["share"])
 
 
 def draw(record: study.Record, folder: Path) -> None:
