@@ -34,8 +34,6 @@ class Arguments:
     """Trainings on each task."""
     tasks: tuple[str, ...] = TRAINED
     """Tasks to train on."""
-    episodes: int = 256
-    """Episodes of each trained model."""
     runs: Path | None = None
     """Folder of finished trainings, a file each; what is there, of the same code, is not repeated. None: a new one."""
 
@@ -44,7 +42,7 @@ class Arguments:
 def main() -> None:
     """Parse, train, print the table."""
     arguments = tyro.cli(Arguments, description=__doc__)
-    name, episodes = arguments.train, check.whole("episodes", arguments.episodes, at_least=4)
+    name = arguments.train
     check.whole("seeds", arguments.seeds, at_least=1)
     check.known_keys("tasks", arguments.tasks, TRAINED)
     if not is_object(name):
@@ -52,18 +50,18 @@ def main() -> None:
     load([name])
     train = loaded(name)
     from scripts.studies.benchmark.benchmark import DOCS, STUDY, learnt
-    from scripts.studies.benchmark.trainings import measured
+    from scripts.studies.benchmark.trainings import EPISODES, measured
 
     runs = (arguments.runs or stamped("benchmark")).resolve()
     runs.mkdir(parents=True, exist_ok=True)
-    code = hashlib.sha256(repr((name, texts_of([name]), episodes)).encode()).hexdigest()[:12]
+    code = hashlib.sha256(repr((name, texts_of([name]))).encode()).hexdigest()[:12]
     print(f"Trainings are stored in {runs}; after an interruption --runs {runs} continues", file=sys.stderr)
     rows = []
     for seed, task in tqdm([*product(range(arguments.seeds), arguments.tasks)], desc=name, unit="training"):
         file = runs / f"{task}-{seed}-{code}.json"
         if not file.is_file():
             try:
-                row = measured(Path(name.rpartition(":")[0]).stem, train, task, seed, episodes)
+                row = measured(Path(name.rpartition(":")[0]).stem, train, task, seed, EPISODES)
             except Exception as error:
                 traceback.print_exc()
                 raise RuntimeError(f"the training on {task} with seed {seed} failed: {first_line(error)}") from error

@@ -48,7 +48,7 @@ class Arguments(study.Arguments):
     """Trainings of each; None: ten of PPO, five of the others. Stored ones stay and are not repeated."""
     settings: tuple[str, ...] = tuple(SETTINGS)
     """Settings to train in."""
-    episodes: int = 256
+    episodes: int = trainings.EPISODES
     """Episodes of each policy and of each trained model."""
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ from scripts.recipes.with_sb3 import train
 SEED = 1  # decides the starts of policies, and of the trainings on each fidelity
 JUDGES = ("coarse", "balanced", "exact")  # fidelities in which agents that were trained on one of them are evaluated
 DECISIONS = {"juggle": 400_000, "spin": 1_000_000, "rattle": 1_000_000}  # of a training on a fidelity
-CURVE_EPISODES, POINTS = 64, 10  # of each point of a curve; of a training
+EPISODES, CURVE_EPISODES, POINTS = 256, 64, 10  # of each model; of each point of a curve; of a training
 SHIPPED_PPO = "jackbox train"  # PPO with the settings of the shipped networks
 POSITIONS = ("x", "y", "cosine_box", "sine_box", "cosine_4", "sine_4")
 ALGORITHMS = (SHIPPED_PPO, "PPO", "TQC", "SAC", "DQN")
@@ -103,10 +103,10 @@ def measured(
     starts = secrets.randbits(32)
     row = evaluate(name, acting, keywords, episodes, starts)
     curve = dict(zip(("steps", "seconds", "curve"), map(list, zip(*points, strict=True)), strict=True))
-    chosen = {key: str(value) for key, value in acting.keywords.items()}
     return {
         "algorithm": name, "setting": setting, "task": task, "seed": seed, "episodes": episodes, "starts": starts,
-        "mean": row.mean, "keywords": chosen, **curve, "processor_seconds": points[-1][1], **_provenance(),
+        "mean": row.mean, "keywords": {key: str(value) for key, value in acting.keywords.items()},
+        **curve, "processor_seconds": points[-1][1], **_provenance(),
     }  # fmt: skip
 
 
