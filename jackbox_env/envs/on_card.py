@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike
 
-from jackbox_env.envs.arguments import actions_of, options_of, seeds_of, states_of, times_of
+from jackbox_env.envs.arguments import actions_of, seeds_of, states_of, times_of
 from jackbox_env.envs.compiled_batch import ExactBatch
 from jackbox_env.envs.repeated_step import RepeatedStep
 from jackbox_env.envs.scene_table import SceneTable
@@ -94,10 +94,8 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         self._derived = self._tensor(np.array([drawn.derived(scenes[0])] if drawn else [], np.bool_).reshape(-1, 2))
         self._words = self._tensor(pcg64.fresh(num_envs).view(np.int64))
         self._blocks = self._tensor(np.zeros((num_envs, HEIGHT, 1)))
-        self._numbers, self._kinds = (
-            self._tensor(np.arange(num_envs)),
-            self._tensor(np.full(len(table.values), CONSTANT)),
-        )
+        self._numbers = self._tensor(np.arange(num_envs))
+        self._kinds = self._tensor(np.full(len(table.values), CONSTANT))
         space: Any = self.single_action_space
         ends = (space.low, space.high) if self.interface.action.size else ([0.0], [space.n - 1.0])
         self._bounds = [self._tensor(np.array(one, np.float64)) for one in ends]
@@ -159,7 +157,8 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         Raises:
             TypeError, ValueError: an unusable seed or option. All environments are unchanged.
         """
-        options_of(options, ())
+        if options:
+            raise ValueError(f'device="cuda" has no options of reset, got {check.shown(options)}')
         seeds, words = seeds_of(self.num_envs, seed), self._words.cpu().numpy().copy().view(np.uint64)
         for number, one in enumerate(seeds):
             if one is not None:
@@ -249,9 +248,9 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
             ended, made, *scenes, *self._rules, before, after, controls, *filled, *_NOTHING
         ).to(self._card.PLACE)
         self._decide(words.data_ptr(), self.num_envs)
-        rows = ended.nonzero()[:, 0]
-        failures = [(int(made[row]), row, int(ended[row])) for row in rows.tolist() if ended[row] != Status.UNCOMPILED]
-        left = rows[ended[rows] == Status.UNCOMPILED]
+        left = (ended == Status.UNCOMPILED.value).nonzero()[:, 0]
+        failed = ((ended != Status.DONE.value) & (ended != Status.UNCOMPILED.value)).nonzero()[:, 0]
+        failures = list(zip(made[failed].tolist(), failed.tolist(), ended[failed].tolist(), strict=True))
         if len(left):
             failures += self._by_cpu(left, after if self._rules.steps & 1 else before, controls, filled)
         if failures:
@@ -307,7 +306,8 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         return words, values, params, blocks
 
     def _commit(self, begun: tuple[Tensor, ...]) -> None:
-        self._words, self._values, self._scene_params, self._blocks = begun
+        """Replace the present by what :meth:`_begun` returned, in one call, which an interruption cannot cut."""
+        vars(self).update(zip(("_words", "_values", "_scene_params", "_blocks"), begun, strict=True))
 
 
 def refuse(envs: JackInBoxVectorEnv) -> None:

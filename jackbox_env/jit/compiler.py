@@ -16,7 +16,6 @@ import itertools
 import math
 import sys
 import threading
-from collections import ChainMap
 from collections.abc import Callable, Mapping
 from functools import cache
 from types import CellType, FunctionType, ModuleType
@@ -221,12 +220,9 @@ class UsersFunctions(_Compilation):
         return cast(F, self.entries[function])
 
     def besides(self, substitutes: dict[str, Any], *others: UsersFunctions) -> UsersFunctions:
-        """A copy with further substitutes of functions of this package, and with those of others.
-
-        The users' functions are not read again.
-        """
+        """A copy with further substitutes, and with those of others; the users' functions are not read again."""
         parts = [self, *others]
-        joined = UsersFunctions(lambda _: dict(ChainMap(substitutes, *(one._substitutes for one in parts))))
+        joined = UsersFunctions(lambda _: {k: v for one in parts for k, v in one._substitutes.items()} | substitutes)
         joined._twins = {key: twin for one in parts for key, twin in one._twins.items() if is_foreign(key[0])}
         return joined
 
