@@ -146,12 +146,13 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
     cases = {name: (right, Parameters(fields, present.changed(**{name: value}))) for name, value in less.items()}
     cases |= {fault: ([spoilt(one, fault, _SLIGHT) for one in right], search.parameters) for fault in FAULTS}
     columns, names = [rows.jacobian], list[str]()
+    differentiable = rows.jacobian.any(axis=1)[:, None]  # what follows a step without a derivative shows no fault
     for name, (recordings, parameters) in cases.items():
         shooting = Shooting(recordings, parameters, search.windows)
         shooting.units = search.units
         changed = shooting.rows(shooting.unknowns(search.numbers), search.noise, slack)
         if changed is not None:  # else the small change has changed what can be followed
-            columns.append((changed.residuals - rows.residuals)[:, None] / _SLIGHT)
+            columns.append((changed.residuals - rows.residuals)[:, None] / _SLIGHT * differentiable)
             names.append(name)
     if "restitution" in fields and len(search.windows) <= _FEW:
         by_restitution = rows.jacobian[:, 2 * WIDTH + fields.index("restitution")]
