@@ -7,7 +7,6 @@ between windows and estimates the noise. Intervals and problems come last (:mod:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +23,6 @@ from jackbox_env.model.scene import Scene
 from jackbox_env.tools import checks as check
 
 _LEAST_SEEN = 10  # rows and impacts; fewer determine no field and no noise
-_MAY_DROP, _MOST_DROPPED = 2, 0.2  # windows, or their share, that may turn out not to fit as links are tightened
 
 
 def fit(
@@ -86,19 +84,17 @@ def _fitted(search: Search) -> Fit:
         )
     for slack in (LINK_SLACKS[0], LINK_SLACKS[1], LINK_SLACKS[1]):
         search.settle(slack)
-        search.without_misfits(slack, len(search.windows))
+        search.without_misfits(slack)
         go_on(search)
     follows = [False, *(one.linked for one in search.windows)]
     lone = [index for index, one in enumerate(search.windows) if not (one.linked or follows[index])]
     if len(lone) < len(search.windows):  # nothing confirms the order of their impacts
         search.drop(lone)
     search.settle(LINK_SLACKS[0])
-    search.without_misfits(LINK_SLACKS[0], len(search.windows))
-    count = len(search.windows)
-    search.fewest = max(1, count - max(_MAY_DROP, math.floor(_MOST_DROPPED * count)))
+    search.without_misfits(LINK_SLACKS[0])
     for slack in (*LINK_SLACKS, LINK_SLACKS[-1]):
         ended = search.settle(slack)
-        if search.without_misfits(slack, len(search.windows) - search.fewest):
+        if search.without_misfits(slack):
             ended = search.settle(slack)
         shooting = Shooting(search.recordings, search.parameters, search.windows)
         search.estimate_noise(search.rows(shooting, slack))

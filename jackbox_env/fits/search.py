@@ -51,7 +51,6 @@ class Search:
         ]
         self.windows: list[Window] = []
         self.left_out: list[Window] = []  # that the model does not explain
-        self.fewest = 1  # windows that stay
         self.numbers = parameters.of(parameters.start)
 
     def settle(self, slack: float) -> bool:
@@ -59,7 +58,7 @@ class Search:
         for _ in range(_MOST_SETTLED):
             shooting = Shooting(self.recordings, self.parameters, self.windows)
             ended, blocking = self.solve(shooting, slack, most=_MOST_STEPS)
-            if ended or not 0 < len(blocking) <= len(self.windows) - self.fewest:
+            if ended or not 0 < len(blocking) < len(self.windows):
                 break
             self.drop(blocking.tolist())
         return ended
@@ -140,11 +139,11 @@ class Search:
         width[:count], width[count + THETA_JACK] = (_PRIOR_WIDTH, _PRIOR_ANGLE) if free else (_FIXED, np.inf)
         return mean, width
 
-    def without_misfits(self, slack: float, most: int) -> bool:
-        """Drop the windows that a fit does not explain, if they are ``most`` at most; return whether it did."""
+    def without_misfits(self, slack: float) -> bool:
+        """Drop the windows that a fit does not explain, unless it explains none; return whether it did."""
         shooting = Shooting(self.recordings, self.parameters, self.windows)
         misfits = np.flatnonzero(misfitting(self.rows(shooting, slack), len(self.windows))).tolist()
-        if not 0 < len(misfits) <= most:
+        if not 0 < len(misfits) < len(self.windows):
             return False
         self.drop(misfits)
         return True
