@@ -1,4 +1,4 @@
-"""The vector environment on a GPU, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=65536, device="cuda")``.
+"""The vector environment on a GPU: ``gymnasium.make_vec("JackInBox-v0", 65536, fidelity="exact", device="cuda")``.
 
 One thread makes the decision of one environment, by ``gpu/decision.py``. What a GPU does not compute, such as feet at
 rest, the CPU does, from the same numbers and with the same bits.
@@ -14,11 +14,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike
 
-from jackbox_env.envs.arguments import actions_of, seeds_of, states_of, times_of
+from jackbox_env.envs.arguments import actions_of, options_of, seeds_of, states_of, times_of
 from jackbox_env.envs.compiled_batch import ExactBatch
 from jackbox_env.envs.repeated_step import RepeatedStep
 from jackbox_env.envs.scene_table import SceneTable
-from jackbox_env.envs.settings import ReadOnly, Settings
+from jackbox_env.envs.settings import ReadOnly, VectorSettings
 from jackbox_env.envs.vector import JackInBoxVectorEnv
 from jackbox_env.exact import pcg64, run
 from jackbox_env.exact.step import CONSTANT
@@ -45,17 +45,18 @@ from jackbox_env.simulators.exact import NO_PIECES
 from jackbox_env.simulators.plain_functions import Interface
 from jackbox_env.simulators.users_functions import functions_together, name_of
 from jackbox_env.tools import checks as check
+from jackbox_env.tools.one_thread import ThreadNote, by_one_thread
 
 Tensor = Any  # of PyTorch, which is imported when an environment is made
 _NOTHING = (0,) * 25  # words of the memory of ``exact.workspace.Arguments``, which each thread has itself
 
 
-class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
+class CardVectorEnv(VectorSettings, VectorEnv[Tensor, Any, Tensor]):  # type: ignore[misc, override]
     """Environments on a GPU, with tensors in place of arrays: the bits of :class:`.JackInBoxVectorEnv`.
 
     Observations and actions need + - * / and square roots alone, as "state", "landing", "torque" and "discrete" do.
-    There are no ``impacts``, no options of ``reset``, and no ``set_states`` of some; what :func:`refuse` lists is
-    refused.
+    There are no ``impacts``, ``observations``, ``field`` or pictures, no options of ``reset``, no ``set_states`` of
+    some, and no copies; what :func:`refuse` lists is refused.
 
     Args:
         num_envs: number of environments N.
@@ -67,12 +68,13 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         RuntimeError: there is no GPU or driver.
     """
 
-    num_envs, autoreset_mode, device = ReadOnly(), ReadOnly(), ReadOnly()
+    device = ReadOnly()
 
     def __init__(self, num_envs: int = 1, *, device: str = "cuda", **settings: Any) -> None:
         checked(device)
         with check.extra('device="cuda"', "PyTorch", "gpu"):
             from jackbox_env.gpu import device as card
+        card.require()  # before what takes a minute
         self._card: Any = card
         cpu = JackInBoxVectorEnv(num_envs, **settings)
         refuse(cpu)
@@ -87,7 +89,7 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         self._rules = batch._rules._replace(score=0, observe=0, act=0, patience=np.inf)
         scenes = batch._present.scenes.originals
         table = SceneTable(scenes, cpu.randomize is not None, (num_envs, HEIGHT, 1), num_envs, self._rules.dt)
-        self._table, self._shared = table, not table.several
+        self._table, self._one_scene = table, not table.several
         self._values, self._scene_params = self._tensor(table.values), self._tensor(table.scene_params)
         drawn = batch._randomize
         self._ranges = self._tensor(drawn.table if drawn else np.zeros((0, 3)))
@@ -99,7 +101,7 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         space: Any = self.single_action_space
         ends = (space.low, space.high) if self.interface.action.size else ([0.0], [space.n - 1.0])
         self._bounds = [self._tensor(np.array(one, np.float64)) for one in ends]
-        self._ready = False
+        self._ready, self._seeds, self._inside = False, dict[int, int](), ThreadNote()
 
     def _tensor(self, array: Any) -> Tensor:
         return self._card.torch.from_numpy(np.array(array, order="C")).to(self._card.PLACE)
@@ -125,10 +127,24 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         number = check.whole("number", number, at_least=0, at_most=self.num_envs - 1)
         return self._table.scene_of(number, self._values[self._row(number)][0].cpu().numpy())
 
+    def _shared(self, numbers: Any) -> Tensor | None:
+        """The tensor of any library's that does not need gradients, by DLPack; None of anything else."""
+        if isinstance(numbers, np.ndarray) or not hasattr(numbers, "__dlpack__"):
+            return None
+        return None if getattr(numbers, "requires_grad", False) else self._card.torch.from_dlpack(numbers)
+
+    def _on_host(self, numbers: Any) -> Any:
+        """A tensor as an array in the machine's memory; anything else as it is."""
+        tensor = self._shared(numbers)
+        if tensor is None:
+            return numbers
+        return (tensor.double() if tensor.is_floating_point() else tensor).cpu().numpy()
+
     def _row(self, number: int) -> slice:
         """The row of an environment's scene."""
-        return slice(None) if self._shared else slice(number, number + 1)
+        return slice(None) if self._one_scene else slice(number, number + 1)
 
+    @by_one_thread
     def set_states(self, states: ArrayLike, times: ArrayLike) -> None:
         """Set all states, shape (12,) or (N, 12), and times [s], a number or shape (N,), as on the CPU.
 
@@ -136,8 +152,8 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
             TypeError, ValueError: unusable values. All environments are unchanged.
         """
         every, blocks = np.ones(self.num_envs, np.bool_), self._blocks.clone()
-        placed = states_of(self.num_envs, "states", states, every, as_restored)(self.scene_of)
-        blocks[:, TIME, 0] = self._tensor(times_of(self.num_envs, "times", times, every))
+        placed = states_of(self.num_envs, "states", self._on_host(states), every, as_restored)(self.scene_of)
+        blocks[:, TIME, 0] = self._tensor(times_of(self.num_envs, "times", self._on_host(times), every))
         blocks[:, :12, 0] = self._tensor(placed)
         for row in (STEPS, DECISIONS, OVER):
             blocks[blocks[:, OVER, 0] != 0.0, row] = 0.0
@@ -145,6 +161,7 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
 
+    @by_one_thread
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Tensor, dict[str, Any]]:
@@ -157,25 +174,29 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         Raises:
             TypeError, ValueError: an unusable seed or option. All environments are unchanged.
         """
-        if options:
-            raise ValueError(f'device="cuda" has no options of reset, got {check.shown(options)}')
+        names = ("state", "time", "scene", "reset_mask")
+        given = [name for name, one in options_of(options, names).items() if one is not None]
+        if given:
+            raise ValueError(f'device="cuda" has no options of reset, got {" and ".join(given)}')
         seeds, words = seeds_of(self.num_envs, seed), self._words.cpu().numpy().copy().view(np.uint64)
-        for number, one in enumerate(seeds):
-            if one is not None:
-                words[number] = pcg64.seeded(one)
+        new = {number: one for number, one in enumerate(seeds) if one is not None}
+        for number, one in new.items():
+            words[number] = pcg64.seeded(one)
         observations = self._new(len(self.interface.observation.names), kind="float32")
         chosen = self._new(kind="bool").fill_(True)
-        self._commit(self._begun(chosen, self._tensor(words.view(np.int64)), self._new(HEIGHT, 1), observations))
-        self._ready = True
+        begun = self._begun(chosen, self._tensor(words.view(np.int64)), self._new(HEIGHT, 1), observations)
+        self._commit(begun, self._seeds | new)
         return observations, {"duration": self._new(), "_duration": chosen}
 
+    @by_one_thread
     def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Make a decision in each environment under ``actions``, of any library with DLPack, shape (N, n) or (N,).
 
         ``infos["left_to_cpu"]`` has the number of environments that the CPU has stepped.
 
         Raises:
-            TypeError, ValueError, JackLostError, jackbox_env.TaskError, RuntimeError: as on the CPU.
+            TypeError, ValueError, JackLostError, jackbox_env.TaskError, RuntimeError: as on the CPU. If several
+                environments fail, another may be named.
         """
         if not self._ready:
             raise RuntimeError("step must come after a reset of all environments, got none yet")
@@ -192,11 +213,11 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         infos: dict[str, Any] = {"duration": durations, "_duration": ended | True, "left_to_cpu": left}
         restarting = waiting
         if self._mode is AutoresetMode.SAME_STEP and bool(ended.any()):
-            final = {"duration": durations * ended, "_duration": ended}
-            infos |= {"final_obs": filled.observations.clone(), "_final_obs": ended, "final_info": final}
+            final = {"duration": durations * ended, "_duration": ended.clone()}
+            infos |= {"final_obs": filled.observations.clone(), "_final_obs": ended.clone(), "final_info": final}
             infos |= {"_final_info": ended, "duration": durations * ~ended}
             restarting = ended
-        self._commit(self._begun(restarting, self._words.clone(), after, filled.observations))
+        self._commit(self._begun(restarting, self._words.clone(), after, filled.observations), self._seeds)
         rewards = filled.returns if several else filled.rewards[0]
         return filled.observations, rewards, filled.terminations, filled.truncations, infos
 
@@ -225,19 +246,19 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
     def _controls(self, actions: Any, waiting: Tensor) -> Tensor:
         """Actions as float64, shape (n, N), contiguous, checked as on the CPU; tensors on the GPU do not leave it."""
         action, count = self.interface.action, self.num_envs
-        if hasattr(actions, "__dlpack__") and not isinstance(actions, np.ndarray):
-            actions = self._card.torch.from_dlpack(actions)
-            shaped = actions.shape == (count, max(action.size, 1)) or (action.size < 2 and actions.shape == (count,))
-            if shaped and actions.is_floating_point() == bool(action.size):
-                values = actions.to(self._card.PLACE, self._values.dtype).reshape(count, -1)
+        tensor = self._shared(actions)
+        if tensor is not None:
+            shaped = tensor.shape == (count, max(action.size, 1)) or (action.size < 2 and tensor.shape == (count,))
+            whole = not (tensor.is_floating_point() or tensor.is_complex() or tensor.dtype is self._card.torch.bool)
+            if shaped and (tensor.is_floating_point() if action.size else whole):
+                values = tensor.to(self._card.PLACE, self._values.dtype).reshape(count, -1)
                 if self._rules.controls == CONTROL_SHARES:
                     return values.T.contiguous()
                 clipped = values.clamp(*self._bounds)
                 usable = values.isfinite() if action.size else values == clipped
                 if bool((usable.all(dim=1) | waiting).all()):
                     return clipped.T.contiguous()
-            actions = actions.cpu().numpy()
-        return self._tensor(actions_of(count, action, actions, waiting.cpu().numpy()))
+        return self._tensor(actions_of(count, action, self._on_host(actions), waiting.cpu().numpy()))
 
     def _played(self, before: Tensor, after: Tensor, controls: Tensor, filled: Any) -> int:
         """Fill in ``after`` or ``before``, and results; return the number of environments that the CPU has stepped."""
@@ -266,7 +287,9 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
         """Step rows by the CPU into the blocks of the result; return failures: steps made, environment, status."""
 
         def own(tensor: Tensor) -> Any:
-            return np.ascontiguousarray((tensor if len(tensor) == 1 and self._shared else tensor[rows]).cpu().numpy())
+            return np.ascontiguousarray(
+                (tensor if len(tensor) == 1 and self._one_scene else tensor[rows]).cpu().numpy()
+            )
 
         count, failures = len(rows), list[tuple[int, int, int]]()
         blocks = self._blocks[rows].cpu().numpy()
@@ -305,16 +328,19 @@ class CardVectorEnv(Settings, VectorEnv[Tensor, Any, Tensor]):
             self._batch._observe(values[self._row(number)].cpu().numpy(), blocks.cpu().numpy(), numbers, seen, None)
         return words, values, params, blocks
 
-    def _commit(self, begun: tuple[Tensor, ...]) -> None:
+    def _commit(self, begun: tuple[Tensor, ...], seeds: dict[int, int]) -> None:
         """Replace the present by what :meth:`_begun` returned, in one call, which an interruption cannot cut."""
-        vars(self).update(zip(("_words", "_values", "_scene_params", "_blocks"), begun, strict=True))
+        names = ("_words", "_values", "_scene_params", "_blocks", "_seeds", "_ready")
+        vars(self).update(zip(names, (*begun, seeds, True), strict=True))
 
 
 def refuse(envs: JackInBoxVectorEnv) -> None:
     """Raise ValueError for what environments on a GPU do not have."""
     batch, scene, task = envs._batch, envs.scene_of(0), envs._interface.task
+    if envs.contact != "exact":
+        raise ValueError(f'device="cuda" needs fidelity="exact", got {envs.fidelity!r}')
     lacking = {
-        f"fidelity={envs.fidelity!r}, or render_mode={envs.render_mode!r}": not isinstance(batch, ExactBatch),
+        "a render_mode": envs.render_mode is not None,
         "with_infos": envs.with_infos,
         "autoreset_mode DISABLED": envs.autoreset_mode is AutoresetMode.DISABLED,
         'torque="chirp"': envs.torque == "chirp",
@@ -343,10 +369,10 @@ def codes_of(interface: Interface) -> tuple[str, str]:
     users = functions_together(owners, {**decision.OF_DECISIONS, "block_actor": actor})
     codes = []
     for function, example in ((decision.decide, decision.arguments()), (decision.begin, (0, 0))):
-        names = [function.__name__, *(name_of(one) for one in owners), "torque" * plain]
+        names = [function.__name__, *(name_of(one) for one in (task, observation, action))]
 
         def made(function: Any = function, example: Any = example) -> str:
             return ptx.checked(*users.intermediate_code(function, kinds_of(example)), "sm_80", example)
 
-        codes.append(ptx.stored("-".join(names), made) if all(names[:3]) and names[-1] else made())
+        codes.append(ptx.stored("-".join(names), made) if all(names) else made())
     return codes[0], codes[1]

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, NoReturn
 
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
+from jackbox_env.model.scene import Scene
 from jackbox_env.simulators.fidelity import KEYWORDS
 from jackbox_env.tools import checks as check
 
@@ -84,3 +86,48 @@ class Settings:
 
 def _refuse(name: str, instead: str, environment: Any, value: object) -> NoReturn:
     raise AttributeError(f"{name} cannot be assigned, got {check.shown(value)}: {instead}")
+
+
+class VectorSettings(Settings):
+    """Base of vector environments: their settings, scenes and seeds."""
+
+    observation, num_envs = ReadOnly(), ReadOnly()
+    autoreset_mode = ReadOnly()  # TorchRL reads it here, Gymnasium in the metadata
+    num_threads, with_infos = ReadOnly(), ReadOnly()
+
+    _seeds: dict[int, int]  # of the environments that one was given
+
+    @property
+    def scenes(self) -> list[Scene]:
+        """The present scene of each environment, every field resolved."""
+        return [self.scene_of(number) for number in range(self.num_envs)]
+
+    def scene_of(self, number: int) -> Scene:
+        """The present scene of one environment.
+
+        Raises:
+            TypeError, ValueError: there is no such environment.
+        """
+        raise NotImplementedError
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of all environments.
+
+        Raises:
+            ValueError: they differ; read ``scenes``.
+        """
+        scenes = self.scenes
+        if any(scene != scenes[0] for scene in scenes):
+            raise ValueError("the environments have different scenes: read the list scenes")
+        return scenes[0]
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """There is none: each environment has one of its own, which ``reset(seed=...)`` seeds."""
+        raise AttributeError("each environment has a generator of its own: reset(seed=...) seeds them")
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """The environments' seeds, -1 where none was given."""
+        return tuple(self._seeds.get(number, -1) for number in range(self.num_envs))

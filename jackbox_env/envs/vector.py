@@ -29,7 +29,7 @@ from jackbox_env.envs.arguments import (
 from jackbox_env.envs.batch import EpisodeLimits
 from jackbox_env.envs.infos import Infos, NoInfos, infos_at_end, infos_at_start, masked
 from jackbox_env.envs.one_by_one import SingleBatch
-from jackbox_env.envs.settings import ReadOnly, Settings
+from jackbox_env.envs.settings import VectorSettings
 from jackbox_env.envs.single import JackInBoxEnv
 from jackbox_env.model.action import EPISODE_STEPS, Action, Repeats, decisions_of
 from jackbox_env.model.observation import Observation
@@ -47,9 +47,10 @@ if TYPE_CHECKING:
     from jackbox_env.envs.compiled_batch import ExactBatch
 
 _MOST_ENVS = 1_000_000_000
+_ON_CARD = {"device": 'belongs to gymnasium.make_vec("JackInBox-v0", fidelity="exact", device="cuda")'}
 
 
-class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
+class JackInBoxVectorEnv(VectorSettings, VectorEnv[Floats, Any, NDArray[Any]]):  # type: ignore[misc, override]
     """Many environments stepped together, made by ``gymnasium.make_vec("JackInBox-v0", num_envs=1024)``.
 
     Environment i, seeded with s + i, equals the single environment with that seed, bit for bit and across restarts.
@@ -92,11 +93,7 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         **JackInBoxEnv.metadata, "render_modes": ["human", "rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }  # fmt: skip
 
-    observation, num_envs = ReadOnly(), ReadOnly()
-    autoreset_mode = ReadOnly()  # TorchRL reads it here, Gymnasium in the metadata
-    num_threads, with_infos = ReadOnly(), ReadOnly()
-
-    @check.refuse_unknown("the vector environment of JackInBox-v0", {}, FURTHER)
+    @check.refuse_unknown("the vector environment of JackInBox-v0", _ON_CARD, FURTHER)
     def __init__(
         self,
         num_envs: int = 1,
@@ -177,11 +174,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
 
     # -- the simulated systems ----------------------------------------------------------------------------------------
 
-    @property
-    def scenes(self) -> list[Scene]:
-        """The present scene of each environment, every field resolved."""
-        return [self.scene_of(number) for number in range(self.num_envs)]
-
     def scene_of(self, number: int) -> Scene:
         """The present scene of one environment.
 
@@ -189,18 +181,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
             TypeError, ValueError: there is no such environment.
         """
         return self._batch.scene(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
-
-    @property
-    def scene(self) -> Scene:
-        """The scene of all environments.
-
-        Raises:
-            ValueError: they differ; read ``scenes``.
-        """
-        scenes = self.scenes
-        if any(scene != scenes[0] for scene in scenes):
-            raise ValueError("the environments have different scenes: read the list scenes")
-        return scenes[0]
 
     @property
     def states(self) -> Array:
@@ -255,16 +235,6 @@ class JackInBoxVectorEnv(Settings, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._batch.impacts(check.whole("number", number, at_least=0, at_most=self.num_envs - 1))
 
     # -- Gymnasium's methods ------------------------------------------------------------------------------------------
-
-    @property  # type: ignore[misc]
-    def np_random(self) -> np.random.Generator:
-        """There is none: each environment has one of its own, which ``reset(seed=...)`` seeds."""
-        raise AttributeError("each environment has a generator of its own: reset(seed=...) seeds them")
-
-    @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The environments' seeds, -1 where none was given."""
-        return tuple(self._seeds.get(number, -1) for number in range(self.num_envs))
 
     @by_one_thread
     def reset(

@@ -6,6 +6,7 @@ It imports no other module of this package, so that it also runs where there is 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -15,7 +16,6 @@ import torch
 Launch = Callable[[int, int], None]  # plays rows, by the address of a call and their number
 BLOCK = 64  # threads
 PLACE = "cuda"  # of PyTorch's tensors
-_DONE = 0  # of ``exact.workspace.Status``
 
 
 class Wanted(NamedTuple):
@@ -79,14 +79,24 @@ def words_of_call(*fields: torch.Tensor | float) -> torch.Tensor:
         if isinstance(field, int):
             words.append(field)
         elif isinstance(field, float):
-            words += torch.tensor([field], dtype=torch.float64).view(torch.int64).tolist()
+            words += struct.unpack("q", struct.pack("d", field))
         else:
             strides = [stride * field.element_size() for stride in field.stride()]
             words += [0, 0, math.prod(field.shape), field.element_size(), field.data_ptr(), *field.shape, *strides]
-    return torch.tensor(words, dtype=torch.int64)
+    return torch.tensor(words, dtype=torch.int64, device="cpu")
 
 
-@cache
+def require() -> None:
+    """Raise ImportError without cuda-core, RuntimeError without a GPU and a driver."""
+    try:
+        import cuda.core  # noqa: F401
+    except ImportError as error:
+        sentence = 'device="cuda" needs cuda-core, the extra \'gpu\': in a checkout of jackbox, pip install -e ".[gpu]"'
+        raise ImportError(sentence) from error
+    if not torch.cuda.is_available():
+        raise RuntimeError('device="cuda" needs a GPU of NVIDIA and a driver for CUDA 12 or newer, PyTorch finds none')
+
+
 def launcher(ptx: str, block: int = BLOCK) -> Launch:
     """A function that plays rows on the present GPU by PTX, and waits for them.
 
@@ -94,14 +104,15 @@ def launcher(ptx: str, block: int = BLOCK) -> Launch:
         ImportError: there is no cuda-core.
         RuntimeError: there is no driver, or it is too old for the PTX.
     """
-    try:
-        from cuda.core import Device, LaunchConfig, ObjectCode, Stream, launch
-    except ImportError as error:
-        sentence = 'device="cuda" needs cuda-core, the extra \'gpu\': in a checkout of jackbox, pip install -e ".[gpu]"'
-        raise ImportError(sentence) from error
-    if not torch.cuda.is_available():
-        raise RuntimeError('device="cuda" needs a GPU of NVIDIA and a driver for CUDA 12 or newer, PyTorch finds none')
-    Device(torch.cuda.current_device()).set_current()
+    require()
+    return _launcher(ptx, block, torch.cuda.current_device())
+
+
+@cache
+def _launcher(ptx: str, block: int, number: int) -> Launch:
+    from cuda.core import Device, LaunchConfig, ObjectCode, Stream, launch
+
+    Device(number).set_current()
     try:
         kernel = ObjectCode.from_ptx(ptx.encode(), name="rollout").get_kernel("rollout")
     except Exception as error:
@@ -110,6 +121,8 @@ def launcher(ptx: str, block: int = BLOCK) -> Launch:
         ) from error
 
     def played(call: int, count: int) -> None:
+        if torch.cuda.current_device() != number:
+            raise RuntimeError(f"the present GPU must be number {number}, got {torch.cuda.current_device()}")
         stream = torch.cuda.current_stream()
         shape = LaunchConfig(grid=-(-count // block), block=block)
         launch(Stream.from_handle(stream.cuda_stream), shape, kernel, call, count)

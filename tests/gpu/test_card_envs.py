@@ -27,6 +27,7 @@ def without_card(monkeypatch: pytest.MonkeyPatch) -> None:
     """``device="cuda"`` steps by the translated kernels, in this machine's memory."""
     monkeypatch.setenv("JACKBOX_UNTRIED_GPU", "1")
     monkeypatch.setattr(device, "launcher", loaded)
+    monkeypatch.setattr(device, "require", lambda: None)
     monkeypatch.setattr(device, "PLACE", "cpu")
 
 
@@ -42,9 +43,9 @@ def step_equally(card: Any, cpu: Any, steps: int, seed: int = 0) -> tuple[int, i
     """Step both; return how many episodes ended, and how often the CPU stepped a row of the card."""
     ended, left = 0, 0
     cpu.action_space.seed(seed)
-    for _ in range(steps):
+    for number in range(steps):
         actions = cpu.action_space.sample()
-        *of_card, infos = card.step(actions)
+        *of_card, infos = card.step(torch.from_numpy(actions) if number % 2 else actions)
         *of_cpu, expected = cpu.step(actions)
         for one, other in zip(of_card, of_cpu, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -71,7 +72,7 @@ def test_decisions_on_a_card_are_those_of_the_cpu() -> None:
     ended, left = step_equally(*both(6, **LANDING, **drawn, action_repeat="bounce", episode_steps=250), 60)
     assert ended > 5
     assert left > 5
-    card, cpu = both(3, 7, **LANDING, action_repeat=3, max_episode_steps=9)
+    card, cpu = both(3, 7, task="juggle", action="discrete", action_repeat=3, max_episode_steps=9)
     states = np.tile(np.append(np.zeros(9), [0.5, 1.0, 3.0]), (3, 1))
     states[2, [2, 5]] = 1e16
     for envs in (card, cpu):
@@ -84,8 +85,7 @@ def test_decisions_on_a_card_are_those_of_the_cpu() -> None:
 def test_what_only_the_cpu_has_is_refused_in_a_sentence() -> None:
     pushed = Scene(drive=jackbox_env.Drive(force_x=lambda time: 50.0))
     for keywords, what in (
-        ({"fidelity": "coarse"}, "fidelity='coarse', or render_mode=None"),
-        ({"render_mode": "rgb_array"}, "fidelity='exact', or render_mode='rgb_array'"),
+        ({"render_mode": "rgb_array"}, "a render_mode"),
         ({"with_infos": True}, "with_infos"),
         ({"autoreset_mode": "DISABLED"}, "autoreset_mode DISABLED"),
         ({"torque": "chirp"}, 'torque="chirp"'),
@@ -97,6 +97,33 @@ def test_what_only_the_cpu_has_is_refused_in_a_sentence() -> None:
     ):
         with pytest.raises(ValueError, match=f'^device="cuda" does not have {re.escape(what)}: make these'):
             gym.make_vec("JackInBox-v0", num_envs=2, device="cuda", **{"fidelity": "exact", **keywords})
+    with pytest.raises(ValueError, match='^device="cuda" needs fidelity="exact", got None$'):
+        gym.make_vec("JackInBox-v0", num_envs=2, device="cuda")
+
+
+@needs_gcc
+def test_a_batch_on_a_card_is_used_as_one_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own states, as tensors that NumPy cannot read, seeds, scenes, and sentences."""
+    card, cpu = both(2, 5, **LANDING)
+    assert (card.np_random_seed, card.scenes, card.with_infos) == (cpu.np_random_seed, cpu.scenes, False)
+    card.reset()
+    assert card.np_random_seed == (5, 6)
+    states, times = card.states + 0.01, card.times + 1.0
+    with monkeypatch.context() as patch:
+        patch.delattr(torch.Tensor, "__array__")
+        card.set_states(states, times)
+    np.testing.assert_array_equal(card.states, states)
+    np.testing.assert_array_equal(card.times, [1.0, 1.0])
+    for wrong, sentence in (
+        (lambda: card.step(torch.zeros(3, dtype=torch.bfloat16)), "actions must have shape"),
+        (lambda: card.step(torch.zeros((2, 2), requires_grad=True)), "actions must be .* detach"),
+        (lambda: card.reset(options={"time": 1.0, "state": None}), "has no options of reset, got time$"),
+        (lambda: card.reset(options=[]), "options must be a dict"),
+        (lambda: setattr(card, "scene", Scene()), "scene cannot be assigned"),
+    ):
+        with pytest.raises((TypeError, ValueError, AttributeError), match=sentence):
+            wrong()
+    assert len(card.reset(options={"reset_mask": None})[0]) == 2
 
 
 # -- functions of one's own --------------------------------------------------------------------------------------------
