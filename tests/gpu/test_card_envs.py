@@ -72,6 +72,7 @@ def test_decisions_on_a_card_are_those_of_the_cpu() -> None:
     ended, left = step_equally(*both(6, **LANDING, **drawn, action_repeat="bounce", episode_steps=250), 60)
     assert ended > 5
     assert left > 5
+    step_equally(*both(3, task="juggle"), 9)
     card, cpu = both(3, 7, task="juggle", action="discrete", action_repeat=3, max_episode_steps=9)
     states = np.tile(np.append(np.zeros(9), [0.5, 1.0, 3.0]), (3, 1))
     states[2, [2, 5]] = 1e16
