@@ -30,6 +30,7 @@ from jackbox_env.model.states import (
 from jackbox_env.tools import checks as check
 
 EVEN = 0.05  # of a step, by which times may be off an even grid
+_LATE = 3600.0  # [s] at which no drive of a scene begins without a torque in the rows: the time of day
 _LATEST = 1e10  # [s] of a row, Unix times are below
 _USUAL = 0.2  # quantile of the steps of time: more than every second frame may be missing
 _MOST_MISSING = 10  # frames for each row
@@ -72,7 +73,8 @@ def evened(
     states = _states(columns, rows, y_down, notes)
     _refuse_sizes(table, scene, states, dt)
     torques, begin = _torques(table, scene, columns.get("torque"), left_out, steps, torque), float(times[0])
-    if abs(times).max() > LATEST_TIME:
+    of_clock = begin > _LATE and "torque" not in columns and scene.drive is not None
+    if of_clock or abs(times).max() > LATEST_TIME:
         if scene.drive is not None and (torques is None or scene.drive.force_bound > 0.0):
             raise ValueError(
                 f"{table.source}column time: begins at {begin:.10g} s, and the scene's drive depends on the time: give "

@@ -123,6 +123,15 @@ def test_a_drive_is_recognised_in_a_file_with_dropped_frames() -> None:
     assert Recording.from_frame(columns, {"drive": None}).torques is not None
 
 
+def test_a_drive_does_not_begin_at_the_time_of_day() -> None:
+    times = 51_785.1 + 0.02 * np.arange(5)
+    columns = {"time": times, "x_jack": np.zeros(5)}
+    with pytest.raises(ValueError, match="begins at 51785.1 s, and the scene's drive depends on the time"):
+        Recording.from_frame(columns)
+    assert Recording.from_frame(columns, STILL).time == times[0]
+    assert Recording.from_frame({**columns, "torque": np.zeros(5)}).time == times[0]
+
+
 MOMENTS = np.array(["2026-01-05T10:00:00.0", "2026-01-05T10:00:00.1", "2026-01-05T10:00:00.2"], "M8[ms]")
 
 
