@@ -126,7 +126,7 @@ def read_recording(
     heard = None
     if impacts is not None:
         table = read_table(impacts, "impact_time")
-        columns, others = in_si_units(table, {"time": "s"})
+        columns, others, _ = in_si_units(table, {"time": "s"})
         heard = filled(table, "time", columns["time"])
         if states := [header for header in others if parts(header)[0] in STATE_NAMES]:
             raise ValueError(f"{impacts}: must have times of impacts, got states with a column {states[0]!r}")

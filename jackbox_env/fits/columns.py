@@ -59,7 +59,7 @@ def evened(
     Raises:
         TypeError, ValueError: unusable content; the message names row and column.
     """
-    columns, left_out = in_si_units(table, UNITS, names)
+    columns, left_out, bare = in_si_units(table, UNITS, names)
     if impacts is None and not columns.keys() & {*STATE_NAMES}:
         raise ValueError(
             f"{table.header()}s must have one of the 12 numbers of a state; --columns (in Python names=) maps other "
@@ -69,6 +69,7 @@ def evened(
     frames, missing = rows[-1] + 1, rows[-1] + 1 - len(rows)
     notes = [f"what is above the headers, in row {table.at_line}, was left out"] * (table.at_line > 1)
     notes += [f"left out, because no name stands for them: {', '.join(left_out)}"] * bool(left_out)
+    notes += [f"read in SI units, because no unit was found: {', '.join(bare)}"] * bool(bare)
     notes += [f"{missing} of {frames} frames {'is' if missing == 1 else 'are'} missing, and left open"] * bool(missing)
     states = _states(columns, rows, y_down, notes)
     _refuse_sizes(table, scene, states, dt)

@@ -79,8 +79,8 @@ def _fitted(search: Search) -> Fit:
     if not search.windows:
         smooth = ", or the track, which looks smoothed" * looks_smoothed(search.recordings)
         raise ValueError(
-            "no part of the recording agrees with the start scene: check its sizes, masses, gravity and drive, a noise "
-            f"that you gave{smooth}, or whether the jack moves"
+            "no part of the recording agrees with the start scene: check that y points up (--y-down), units, sizes, "
+            f"masses, gravity and drive, a noise that you gave{smooth}, or whether the jack moves"
         )
     for slack in (LINK_SLACKS[0], LINK_SLACKS[1], LINK_SLACKS[1]):
         search.settle(slack)

@@ -146,7 +146,7 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
     cases = {name: (right, Parameters(fields, present.changed(**{name: value}))) for name, value in less.items()}
     cases |= {fault: ([spoilt(one, fault, _SLIGHT) for one in right], search.parameters) for fault in FAULTS}
     columns, names = [rows.jacobian], list[str]()
-    differentiable = rows.jacobian.any(axis=1)[:, None]  # what follows a step without a derivative shows no fault
+    differentiable = (rows.jacobian != 0.0).any(axis=1, keepdims=True)  # what follows a step without shows no fault
     for name, (recordings, parameters) in cases.items():
         shooting = Shooting(recordings, parameters, search.windows)
         shooting.units = search.units

@@ -137,16 +137,16 @@ def stored_scene(arrays: Any, source: str = "") -> dict[str, Any] | None:
 
 
 def in_si_units(
-    table: Table, units: Mapping[str, str], names: Mapping[str, str] | None = None,
-    needed: Collection[str] = ("time",),
-) -> tuple[dict[str, Array], tuple[str, ...]]:  # fmt: skip
-    """Columns by their names here, in SI units, and the headers that are left out, for which no name stands.
+    table: Table, units: Mapping[str, str], names: Mapping[str, str] | None = None
+) -> tuple[dict[str, Array], tuple[str, ...], tuple[str, ...]]:
+    """Columns by their names here, in SI units; headers that are left out; and chosen ones without a unit.
+
+    No name stands for those that are left out. Those without a unit have another name here, and are read in SI units.
 
     Args:
         table: with headers such as ``x_box``, ``x_box [mm]`` or one of ``names``.
         units: the columns that may be there, and their SI units.
         names: headers, with or without a unit, by the names here.
-        needed: columns that must be there; those in ``names`` too.
 
     Raises:
         TypeError, ValueError: a missing column, one that comes twice, an unknown unit, something else than finite
@@ -160,12 +160,15 @@ def in_si_units(
         for n, (header, _) in enumerate(table.columns)
     ]
     chosen = dict[str, tuple[str, float, bool, Any]]()
+    bare = list[str]()
     for name, si in units.items():
         text = names.get(name, name)
         found = _named(table, numbered, text, name in names)
         if found:
-            chosen[name] = found[0], *_factor(table, found[0], text, si), found[1]
-        elif name in names or name in needed:
+            factor, unit = _factor(table, found[0], text, si)
+            bare += [found[0]] * (unit is None and name in names and name != "time")
+            chosen[name] = found[0], factor, unit in PIXELS.values(), found[1]
+        elif name in names or name == "time":
             which = f"{text!r}, which is to be {name}," if name in names else f"{name} [{si}]"
             raise ValueError(f"{table.header()} {which} must be one of {', '.join(map(repr, numbered)) or 'none'}")
     if table.scale is not None and not any(scaled for _, _, scaled, _ in chosen.values()):
@@ -181,7 +184,7 @@ def in_si_units(
             f"{', '.join(f'{name} {len(column)}' for name, column in columns.items())}"
         )
     others = (one for one in table.columns if not any(one[1] is values for *_, values in chosen.values()))
-    return columns, tuple(header for header, _ in others if header.strip())
+    return columns, tuple(header for header, _ in others if header.strip()), tuple(bare)
 
 
 def _named(table: Table, numbered: Sequence[str], text: str, chosen: bool) -> tuple[str, Any] | None:
@@ -242,10 +245,10 @@ def _numbers(table: Table, header: str, values: Any, decimal_commas: bool, secon
     return numbers
 
 
-def _factor(table: Table, header: str, name: str, si: str) -> tuple[float, bool]:
-    """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore, or SI.
+def _factor(table: Table, header: str, name: str, si: str) -> tuple[float, str | None]:
+    """The unit of a column [si]: that of its ``name``, its header's, also after the last underscore; else 1, for SI.
 
-    Also whether it is in pixels.
+    Also that unit's name; None without one.
     """
     factors = {si: 1.0, **OTHER_UNITS[si]} | ({PIXELS[si]: 1.0 / table.scale} if table.scale and si in PIXELS else {})
     known = {plain(one): factor for one, factor in factors.items()}
@@ -253,14 +256,17 @@ def _factor(table: Table, header: str, name: str, si: str) -> tuple[float, bool]
     of_name = None if header.strip() == name.strip() else of_name
     if of_name is not None and of_header is not None and plain(of_name) != plain(of_header) in KNOWN:
         raise ValueError(f"{table.header()} {check.shown(header)} has another unit than {name!r}, chosen for it")
-    unit = next(one for one in (of_name, of_header, ending if plain(ending) in known else si) if one is not None)
+    of_ending = ending if plain(ending) in known else None
+    unit = next((one for one in (of_name, of_header, of_ending) if one is not None), None)
+    if unit is None:
+        return 1.0, None
     if plain(unit) not in known:
         scale = "; --scale (in Python scale=) gives pixels per metre" * (plain(unit) in PIXELS.values())
         raise ValueError(
             f"{table.header()} {check.shown(header)} must be in one of the units {', '.join(factors)}, got "
             f"{unit!r}{scale}"
         )
-    return known[plain(unit)], plain(unit) in PIXELS.values()
+    return known[plain(unit)], plain(unit)
 
 
 def filled(table: Table, name: str, values: Array) -> Array:

@@ -67,13 +67,12 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
             row = row[row[0] in ("#", "%") :]
             headers = [row[0].lstrip("#% "), *row[1:]]
             if any(is_named(header, one) for header in headers for one in (named, re.sub(r" #\d+", "", named))):
-                below = [
-                    one for one in rows[index + 1 :] if not (_COMMENT.match(one[1][0]) or one[1] == rows[index][1])
-                ]
-                units = [cell.strip("[]() ") for cell in below[0][1]] if below else []
+                below = [one for one in rows[index + 1 :] if one[1] != rows[index][1]]
+                units = [cell.strip("[]()#% ") for cell in below[0][1]] if below else []
                 if KNOWN.intersection(map(plain, units)) and not any(map(NUMBER.fullmatch, units)):
                     pairs = zip_longest(headers, units, fillvalue="")
                     headers, below = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below[1:]
+                below = [one for one in below if not _COMMENT.match(one[1][0])]
                 return headers, [at for at, _ in below], [cells for _, cells in below], delimiter, line
     raise ValueError(
         f"{path}: there must be a row of headers, {named} among them, and rows of numbers below, got "
@@ -123,11 +122,11 @@ KNOWN = {plain(unit) for si, others in OTHER_UNITS.items() for unit in (si, *oth
 
 def parts(header: str) -> tuple[str, str | None]:
     """Name and unit of ``x_box [mm]``, ``x_box (mm)``, ``x_box / mm`` and ``x_box (mm) Run 1``; None without a unit."""
-    match = re.fullmatch(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|/\s*(.+))([^][()]*)", header.strip())
-    if match is None:
-        return header.strip(), None
-    unit = next(text for text in match.groups()[1:4] if text is not None)
-    return match[1] + match[5], unit.strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\))([^][()]*)", header.strip())
+    if match is not None:
+        return match[1] + match[4], (match[3] if match[2] is None else match[2]).strip()
+    name, _, unit = header.partition("/")
+    return (name.strip(), unit.strip()) if plain(unit) in KNOWN else (header.strip(), None)
 
 
 def is_named(header: str, name: str) -> bool:

@@ -66,7 +66,9 @@ def test_names_may_have_units_and_leave_other_columns_out() -> None:
     other = {"time": [0.0, 0.1], "x_jack": [1.0, 1.0], "smooth": [2.0, 2.0]}
     recording = Recording.from_frame(other, STILL, names={"x_jack": "smooth"})
     assert observed(recording, "x_jack") == [2.0, 2.0]
-    assert recording.notes == ("left out, because no name stands for them: x_jack",)
+    assert recording.notes == (
+        "left out, because no name stands for them: x_jack", "read in SI units, because no unit was found: smooth",
+    )  # fmt: skip
 
 
 def test_only_columns_of_torques_cannot_be_left_out_where_the_drive_acts() -> None:

@@ -41,6 +41,10 @@ def left_out(headers: str) -> str:
     return f"left out, because no name stands for them: {headers}"
 
 
+def bare(headers: str) -> str:
+    return f"read in SI units, because no unit was found: {headers}"
+
+
 def above(row: int) -> str:
     return f"what is above the headers, in row {row}, was left out"
 
@@ -90,7 +94,7 @@ CASES = [
     Case("preamble.csv", TORQUES, notes=(above(5),)),
     Case("labview.lvm", columns="time=X_Value", notes=(above(5), left_out("Comment"))),
     Case("labview_long.lvm", columns="time=X_Value", refused="must have 3 cells like row 9, with tabs between"),
-    Case("optitrack.csv", columns="x_jack=X #2", notes=(above(7), left_out("Frame, X, Y, Y"))),
+    Case("optitrack.csv", columns="x_jack=X #2", notes=(above(7), left_out("Frame, X, Y, Y"), bare("X"))),
     Case(
         "optitrack.csv", columns="x_jack=Jack X", refused="must be one of 'Frame', 'Time (Seconds)', 'X #1', 'Y #1', "
     ),
@@ -103,10 +107,17 @@ CASES = [
     Case("two_runs.csv", refused="row 6, column time: must increase up to 1e+10 s, got 0 s after 0.2 s"),
     Case("units_row.csv", TORQUES),
     Case("units_row_bare.csv", TORQUES),
-    Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(above(2),)),
+    Case("units_comment.csv", states=X | ANGLES),
+    Case(
+        "ros.csv",
+        states=X | {"theta_jack": [1.5, 0.75, 0.0]},
+        notes=(bare("/jack/pose/yaw"),),
+        columns="time=/clock,x_jack=/jack/pose/x,theta_jack=/jack/pose/yaw",
+    ),
+    Case("tracker.txt", states=XY, columns="time=t,x_jack=x,y_jack=y", notes=(above(2), bare("x, y"))),
     Case("tracker_two.txt", columns="time=t,x_jack=x", refused="row 3: column 'x' comes twice; choose one as x #1"),
     Case("time_twice.csv", columns="time=t #2", notes=(left_out("t"),)),
-    Case("tracker_two.txt", columns="time=t,x_jack=x #2", notes=(above(3), left_out("x, y, y"))),
+    Case("tracker_two.txt", columns="time=t,x_jack=x #2", notes=(above(3), left_out("x, y, y"), bare("x"))),
     *(Case(file, refused=NO_HEADERS) for file in ("deeplabcut.csv", "page.csv", "lines.csv", "document.csv")),
     *(Case(file, refused=NO_HEADERS) for file in ("plotter.log", "monitor.log")),
     # Cells.

@@ -288,14 +288,14 @@ FITS = [
     Refusal(
         lambda _: fit(Recording(noisy()[0], -noisy()[1], 0.02), ("jack_mass", "restitution"), LIGHT),
         ValueError,
-        "no part of the recording agrees with the start scene: check its sizes, masses, gravity and "
-        "drive, a noise that you gave, or whether the jack moves",
+        "no part of the recording agrees with the start scene: check that y points up (--y-down), units, sizes, "
+        "masses, gravity and drive, a noise that you gave, or whether the jack moves",
     ),
     Refusal(
         lambda _: fit(Recording(noisy()[0], None, 0.02), ("jack_mass",), LIGHT.changed(drive=Chirp()), noise=1e-9),
         ValueError,
-        "no part of the recording agrees with the start scene: check its sizes, masses, gravity and "
-        "drive, a noise that you gave, or whether the jack moves",
+        "no part of the recording agrees with the start scene: check that y points up (--y-down), units, sizes, "
+        "masses, gravity and drive, a noise that you gave, or whether the jack moves",
     ),
     Refusal(fitted(recordings=[]), TypeError, "recordings must be a Recording or several, got []"),
     Refusal(fitted(recordings=3), TypeError, "recordings must be a Recording or several, got 3"),
