@@ -202,7 +202,8 @@ def learnt(record: study.Record, setting: str = "default") -> str:
         every = [row for rows in by_task.values() for row in rows]
         counts = sorted({len(rows) for rows in by_task.values()})
         spent = np.mean([row["processor_seconds"] for row in every])
-        decisions = " or ".join(dict.fromkeys(f"{row['steps'][-1]:,}" for row in every if row["steps"][-1]))
+        made = (format(float(f"{row['steps'][-1]:.2g}"), ",.0f") for row in every if row["steps"][-1])
+        decisions = " or ".join(dict.fromkeys(made))
         lines.append((name, " to ".join(map(str, counts)), *cells, score, decisions, f"{spent:.0f}"))
     return table(("algorithm", "trainings", *TRAINED, "score", "decisions", "seconds"), lines) if lines else ""
 
