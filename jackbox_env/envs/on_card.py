@@ -127,15 +127,15 @@ class CardVectorEnv(VectorSettings, VectorEnv[Tensor, Any, Tensor]):  # type: ig
         number = check.whole("number", number, at_least=0, at_most=self.num_envs - 1)
         return self._table.scene_of(number, self._values[self._row(number)][0].cpu().numpy())
 
-    def _shared(self, numbers: Any) -> Tensor | None:
-        """The tensor of any library's that does not need gradients, by DLPack; None of anything else."""
+    def _as_tensor(self, numbers: Any) -> Tensor | None:
+        """A tensor of any library, by DLPack; None if it is none, or needs gradients."""
         if isinstance(numbers, np.ndarray) or not hasattr(numbers, "__dlpack__"):
             return None
         return None if getattr(numbers, "requires_grad", False) else self._card.torch.from_dlpack(numbers)
 
     def _on_host(self, numbers: Any) -> Any:
         """A tensor as an array in the machine's memory; anything else as it is."""
-        tensor = self._shared(numbers)
+        tensor = self._as_tensor(numbers)
         if tensor is None:
             return numbers
         return (tensor.double() if tensor.is_floating_point() else tensor).cpu().numpy()
@@ -246,7 +246,7 @@ class CardVectorEnv(VectorSettings, VectorEnv[Tensor, Any, Tensor]):  # type: ig
     def _controls(self, actions: Any, waiting: Tensor) -> Tensor:
         """Actions as float64, shape (n, N), contiguous, checked as on the CPU; tensors on the GPU do not leave it."""
         action, count = self.interface.action, self.num_envs
-        tensor = self._shared(actions)
+        tensor = self._as_tensor(actions)
         if tensor is not None:
             shaped = tensor.shape == (count, max(action.size, 1)) or (action.size < 2 and tensor.shape == (count,))
             whole = not (tensor.is_floating_point() or tensor.is_complex() or tensor.dtype is self._card.torch.bool)

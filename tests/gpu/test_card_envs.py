@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +14,9 @@ import torch
 
 import jackbox_env
 from jackbox_env import Action, Observation, Scene, State, Task
+from jackbox_env.envs import on_card
 from jackbox_env.gpu import device
+from jackbox_env.jit.folders import cache_folders
 from jackbox_env.model.scene import SceneNumbers
 from scripts.studies.speed import gpu
 from tests.gpu.test_gpu import needs_gcc
@@ -109,6 +112,7 @@ def test_a_batch_on_a_card_is_used_as_one_on_the_cpu(monkeypatch: pytest.MonkeyP
     assert (card.np_random_seed, card.scenes, card.with_infos) == (cpu.np_random_seed, cpu.scenes, False)
     card.reset()
     assert card.np_random_seed == (5, 6)
+    assert [one for folder in cache_folders() for one in folder.glob("decide-juggle-landing-landing-*.ptx")]
     states, times = card.states + 0.01, card.times + 1.0
     with monkeypatch.context() as patch:
         patch.delattr(torch.Tensor, "__array__")
@@ -125,6 +129,17 @@ def test_a_batch_on_a_card_is_used_as_one_on_the_cpu(monkeypatch: pytest.MonkeyP
         with pytest.raises((TypeError, ValueError, AttributeError), match=sentence):
             wrong()
     assert len(card.reset(options={"reset_mask": None})[0]) == 2
+    card._inside[0] = -1  # as if another thread were in it
+    with pytest.raises(RuntimeError, match="one thread at a time"):
+        card.reset()
+
+
+def test_without_a_gpu_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "require", Mock(side_effect=ImportError("needs cuda-core")))
+    monkeypatch.setattr(on_card, "codes_of", Mock())
+    with pytest.raises(ImportError, match="needs cuda-core"):
+        gym.make_vec("JackInBox-v0", num_envs=2, fidelity="exact", device="cuda")
+    assert not on_card.codes_of.called  # type: ignore[attr-defined]
 
 
 # -- functions of one's own --------------------------------------------------------------------------------------------

@@ -253,6 +253,20 @@ def test_a_missing_driver_is_named(
         device.launcher("")
 
 
+def test_a_kernel_is_played_on_the_gpu_that_it_was_made_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    core, present = Mock(), Mock(return_value=0)
+    monkeypatch.setitem(sys.modules, "cuda", core)
+    monkeypatch.setitem(sys.modules, "cuda.core", core)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "current_device", present)
+    first = device.launcher("code")
+    present.return_value = 1
+    assert device.launcher("code") is not first
+    with pytest.raises(RuntimeError, match="^the present GPU must be number 0, got 1$"):
+        first(0, 1)
+    assert not core.launch.called
+
+
 @pytest.mark.usefixtures("without_card")
 def test_too_little_memory_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "launcher", Mock())

@@ -189,8 +189,8 @@ def of_algorithms(record: study.Record, setting: str = "default") -> dict[str, d
 
 
 def learnt(record: study.Record, setting: str = "default") -> str:
-    """The table of a setting's trainings: what they earn, also on the scale from zero to planner, and their cost."""
-    lines = []
+    """The table of a setting's trainings: what they earn; by default also from zero to planner, and their cost."""
+    lines, columns = [], None if setting == "default" else 2 + len(TRAINED)
     for name, by_task in of_algorithms(record, setting).items():
         means = {task: np.array([row["mean"] for row in rows]) for task, rows in by_task.items()}
         scaled = [
@@ -202,10 +202,12 @@ def learnt(record: study.Record, setting: str = "default") -> str:
         every = [row for rows in by_task.values() for row in rows]
         counts = sorted({len(rows) for rows in by_task.values()})
         spent = np.mean([row["processor_seconds"] for row in every])
-        made = (format(float(f"{row['steps'][-1]:.2g}"), ",.0f") for row in every if row["steps"][-1])
-        decisions = " or ".join(dict.fromkeys(made))
-        lines.append((name, " to ".join(map(str, counts)), *cells, score, decisions, f"{spent:.0f}"))
-    return table(("algorithm", "trainings", *TRAINED, "score", "decisions", "seconds"), lines) if lines else ""
+        decisions = " or ".join(
+            dict.fromkeys(f"{float(format(row['steps'][-1], '.2g')):,.0f}" for row in every if row["steps"][-1])
+        )
+        lines.append((name, " to ".join(map(str, counts)), *cells, score, decisions, f"{spent:.0f}")[:columns])
+    heads = "algorithm", "trainings", *TRAINED, "score", "decisions", "seconds"
+    return table(heads[:columns], lines) if lines else ""
 
 
 def filled(record: study.Record) -> dict[str, Any]:

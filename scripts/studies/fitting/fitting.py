@@ -103,8 +103,8 @@ def lengths_table(rows: list[dict[str, Any]]) -> str:
 def filled(record: study.Record) -> dict[str, Any]:
     """The numbers of docs/fitting.md."""
     files = [
-        f"Of {of['count']} such files at {of['rate']:g} frames a second {of['converged']} converge, and the mass is "
-        f"within the 95 % interval of {of['right']} of these."
+        f"{of['converged']} of {of['count']} at {of['rate']:g} frames a second ({of['right']} with the mass in its "
+        "95 % interval)"
         for of in record["files"]
     ]
     passed = [row for row in record["people"] if row and row["wrong"] in WRONG and row["converged"]]
@@ -112,7 +112,7 @@ def filled(record: study.Record) -> dict[str, Any]:
         "printed": record["printed"],
         "columns": camera.COLUMNS.replace(",x_jack", ",\\\nx_jack"),  # a line of the site has 100 characters
         "lengths": lengths_table(record["lengths"]),
-        "files": "\n\n".join(files),
+        "files": " and ".join(files),
         "people": people_table(record["people"]),
         "passed": len(passed),
         "hidden": sum(row["hidden"] for row in passed),
