@@ -86,10 +86,6 @@ def _fitted(search: Search) -> Fit:
         search.settle(slack)
         search.without_misfits(slack)
         go_on(search)
-    follows = [False, *(one.linked for one in search.windows)]
-    lone = [index for index, one in enumerate(search.windows) if not (one.linked or follows[index])]
-    if len(lone) < len(search.windows):  # nothing confirms the order of their impacts
-        search.drop(lone)
     search.settle(LINK_SLACKS[0])
     search.without_misfits(LINK_SLACKS[0])
     for slack in (*LINK_SLACKS, LINK_SLACKS[-1]):

@@ -33,7 +33,6 @@ _NEAR_THE_END = 0.3  # standard deviations that the fields may still move where 
 _NEGLIGIBLE = 0.1  # decrease of a window's squares, in which its start moves by 0.3 of its standard deviation at most
 _GROWTH = 8.0  # of the damping after a step that was shortened
 _SHORTER = 0.25  # of a step that fails
-_BLOCKING = 0.2  # of the largest excess over prediction, more of which blocks, too
 _BLOCKED = 0.01  # share of a step, below which a window that prevents a decrease blocks the search
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-14  # of the squared lengths of the observations' columns
 
@@ -148,8 +147,8 @@ def minimise(
     A step that fails is shortened: damping alone would first have to reach the squared lengths of the columns. A search
     that stalls has not ended: the linear model still predicts a decrease, which no step brings. It stalls where a
     window's motion jumps or has a kink, because two impacts change their order there, or because one leaves the window.
-    However short a step is, the window's squares grow then. It is returned as blocking; if the search did not end in
-    ``most`` steps, so is the one for which the last of them failed.
+    However short a step is, the window's squares grow then. The one whose squares grew most in the last step
+    that failed is returned as blocking.
 
     Tight links are narrow, curved valleys: a step along them leaves them by its square, over the slack (Maratos 1978).
     A full step that fails is therefore followed by a second one, from where it ends, before it is shortened.
@@ -175,17 +174,15 @@ def minimise(
     longest, blocking = share, np.zeros(0, np.intp)
     for _ in range(most):
         square = float((rows.residuals**2).sum())
-        moved = share * move
-        tried, trial, after = moved_by(unknowns, moved)
+        tried, trial, after = moved_by(unknowns, share * move)
         expected = share * (2.0 - share) * promised
         if trial is not None and share == longest and not square - after > 1e-4 * expected:
             again, _, further = _step_within(trial, windows, _LEAST_DAMPING, tried[:count], low, high)
-            moved = moved + further * again
             second = moved_by(tried, further * again)
             if second[2] < after:
                 tried, trial, after = second
         decrease = square - after
-        last = _small(moved, unknowns) or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
+        last = _small(share * move, unknowns) or max(abs(decrease), abs(expected)) <= _TOLERANCE * square
         if trial is not None and decrease > 1e-4 * expected:
             unknowns, rows = tried, trial
             damping = max(0.1 * damping, _LEAST_DAMPING) if share == longest else max(_GROWTH * damping, _FIRST_DAMPING)
@@ -196,13 +193,14 @@ def minimise(
             last |= share < _BLOCKED
             if trial is not None:
                 excess = np.bincount(rows.window, trial.residuals**2 - rows.residuals**2, windows)
-                blocking = np.flatnonzero(excess > _BLOCKING * excess.max())
-        if last:  # the end, unless the step was small because it was shortened or damped, or blocked
-            move, promised, _ = _step_within(rows, windows, _FIRST_DAMPING, unknowns[:count], low, high)
-            away = float(np.linalg.norm(Chain(rows, windows).information() @ move[:count]))
-            ended = (away < _NEAR_THE_END and promised < _NEGLIGIBLE * windows) or _small(move, unknowns)
-            return unknowns, ended, blocking
-    return unknowns, False, blocking
+                blocking = np.array([excess.argmax()])
+        if last:
+            break
+    # It ended, unless the last step was small because it was shortened, damped or blocked.
+    move, promised, _ = _step_within(rows, windows, _LEAST_DAMPING, unknowns[:count], low, high)
+    away = float(np.linalg.norm(Chain(rows, windows).information() @ move[:count]))
+    ended = (away < _NEAR_THE_END and promised < _NEGLIGIBLE * windows) or _small(move, unknowns)
+    return unknowns, ended, blocking
 
 
 def _step_within(

@@ -73,8 +73,7 @@ class Parameters:
 
     def values(self, numbers: Array) -> Array:
         """The fields' values, shape (F,)."""
-        with np.errstate(over="ignore"):  # to infinity, if unidentifiable
-            return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, numbers, 0.0)), numbers * self._unit)
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, numbers, 0.0)), numbers * self._unit)
 
     def scene(self, numbers: Array) -> Scene:
         """The scene of these numbers; an inertia that was not given follows.

@@ -100,7 +100,7 @@ def test_a_wrong_model_does_not_converge_to_wrong_intervals(
         assert holds(fitted, scene, wide=2.0) or not fitted.converged
         if seed == 0:
             assert not fitted.converged
-            assert any("correlated in time" in problem for problem in fitted.problems)
+            assert any("that is not fitted" in problem for problem in fitted.problems)
             assert fit(Recording(states, torques, DT), fields, right).converged
 
 
