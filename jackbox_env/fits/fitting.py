@@ -86,8 +86,6 @@ def _fitted(search: Search) -> Fit:
         search.settle(slack)
         search.without_misfits(slack)
         go_on(search)
-    search.settle(LINK_SLACKS[0])
-    search.without_misfits(LINK_SLACKS[0])
     for slack in (*LINK_SLACKS, LINK_SLACKS[-1]):
         ended = search.settle(slack)
         if search.without_misfits(slack):
