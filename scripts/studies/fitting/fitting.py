@@ -102,11 +102,7 @@ def lengths_table(rows: list[dict[str, Any]]) -> str:
 
 def filled(record: study.Record) -> dict[str, Any]:
     """The numbers of docs/fitting.md."""
-    files = [
-        f"{of['converged']} of {of['count']} at {of['rate']:g} frames a second ({of['right']} with the mass in its "
-        "95 % interval)"
-        for of in record["files"]
-    ]
+    files = [f"{of['right']} of {of['count']} at {of['rate']:g} frames a second" for of in record["files"]]
     passed = [row for row in record["people"] if row and row["wrong"] in WRONG and row["converged"]]
     return {
         "printed": record["printed"],
