@@ -16,18 +16,22 @@ import jackbox_env  # noqa: F401  # registers JackInBox-v0
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=2_000_000)
 parser.add_argument("--task", default="juggle")
+parser.add_argument("--landing", action="store_true", help="act once a bounce")
 parser.add_argument("--device", choices=["cuda"])
 arguments = parser.parse_args()
-NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, GAMMA, LAMBDA, CLIP = 256, 32, 5, 1024, 0.99, 0.9, 0.2
+NUM_ENVS, LENGTH, EPOCHS, MINIBATCH, LAMBDA, CLIP = 512, 12, 10, 1024, 0.9, 0.2
+GAMMA = 0.72  # in a second
 
 torch.manual_seed(0)
 torch.set_num_threads(1)  # small networks are fastest on one
 if arguments.device:
     torch.set_default_device(arguments.device)
 keywords = {"task": arguments.task, "action_repeat": 4}  # an action every 0.08 s, 125 in an episode
+if arguments.landing:  # an action is the box's angle and rate at the next landing
+    keywords |= {"observation": "landing", "action": "landing", "action_repeat": "bounce"}
 keywords |= {"autoreset_mode": "SAME_STEP", "device": arguments.device}
 envs = gym.make_vec("JackInBox-v0", NUM_ENVS, fidelity="exact", **keywords)
-size = gym.spaces.flatdim(envs.single_observation_space)
+size, width = map(gym.spaces.flatdim, (envs.single_observation_space, envs.single_action_space))
 
 
 def stepped(action: torch.Tensor) -> tuple[Any, ...]:
@@ -37,19 +41,28 @@ def stepped(action: torch.Tensor) -> tuple[Any, ...]:
     return *map(torch.as_tensor, results), infos
 
 
-def network(outputs: int) -> nn.Sequential:
+def layer(inputs: int, outputs: int, gain: float = 2.0**0.5) -> nn.Linear:
+    """A layer whose weights are orthogonal at first."""
+    made = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(made.weight, gain)
+    nn.init.zeros_(made.bias)
+    return made
+
+
+def network(outputs: int, gain: float) -> nn.Sequential:
     """Two layers of 64."""
-    hidden = nn.Linear(size, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
-    return nn.Sequential(*hidden, nn.Linear(64, outputs))
+    hidden = layer(size, 64), nn.Tanh(), layer(64, 64), nn.Tanh()
+    return nn.Sequential(*hidden, layer(64, outputs, gain))
 
 
-actor, critic, log_std = network(1), network(1), nn.Parameter(torch.full((1,), -0.7))
+actor, critic = network(width, 0.01), network(1, 1.0)
+log_std = nn.Parameter(torch.full((width,), -1.0))
 parameters = [*actor.parameters(), *critic.parameters(), log_std]
-optimiser = torch.optim.Adam(parameters, lr=1e-3, eps=1e-5)
+optimiser = torch.optim.Adam(parameters, lr=2e-3, eps=1e-5)
 
 
 def log_probability(observations: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-    """Log-probabilities of actions, shape (n, 1), under the policy: shape (n,)."""
+    """Log-probabilities of actions, shape (n, width), under the policy: shape (n,)."""
     policy = torch.distributions.Normal(actor(observations), log_std.exp())
     return policy.log_prob(actions).sum(-1)  # type: ignore[no-any-return]
 
@@ -58,23 +71,25 @@ updates = max(1, arguments.steps // (NUM_ENVS * LENGTH))
 observation, earned = torch.as_tensor(envs.reset(seed=0)[0]), torch.zeros(NUM_ENVS)
 finished: list[float] = []
 for update in range(updates):
-    optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - update / updates)
-    observed, acted, rewards, dones = [], [], [], []
+    optimiser.param_groups[0]["lr"] = 2e-3 * (1.0 - update / updates)
+    observed, acted, rewards, discounts = [], [], [], []
     for _ in range(LENGTH):
         with torch.no_grad():
             action = torch.normal(actor(observation), log_std.exp())
         after, reward, terminated, truncated, infos = stepped(action)
-        reward = reward.float()
+        reward, seconds = reward.float(), torch.as_tensor(infos["duration"])
         earned += reward
         if truncated.any():  # the time limit ends no task: add the value of what would follow
             final = infos["final_obs"][truncated]
             final = torch.as_tensor(final if arguments.device else np.stack(final))
+            seconds = seconds + torch.as_tensor(infos["final_info"]["duration"])
             with torch.no_grad():
-                reward[truncated] += GAMMA * critic(final).squeeze(-1)
+                follows = critic(final).squeeze(-1)
+            reward[truncated] += GAMMA ** seconds[truncated].float() * follows
         observed.append(observation)
         acted.append(action)
         rewards.append(reward)
-        dones.append((terminated | truncated).float())
+        discounts.append(GAMMA ** seconds.float() * ~(terminated | truncated))
         finished += earned[truncated].tolist()
         earned[truncated] = 0.0
         observation = after
@@ -82,9 +97,8 @@ for update in range(updates):
         values = critic(torch.stack([*observed, observation])).squeeze(-1)
         advantages, last = torch.zeros(LENGTH, NUM_ENVS), torch.zeros(NUM_ENVS)
         for step in reversed(range(LENGTH)):
-            alive = 1.0 - dones[step]
-            error = rewards[step] + GAMMA * alive * values[step + 1] - values[step]
-            last = error + GAMMA * LAMBDA * alive * last
+            error = rewards[step] + discounts[step] * values[step + 1] - values[step]
+            last = error + discounts[step] * LAMBDA * last
             advantages[step] = last
         flat_observed, flat_acted = torch.cat(observed), torch.cat(acted)
         before = log_probability(flat_observed, flat_acted)
@@ -105,12 +119,13 @@ for update in range(updates):
         print(f"{actions:,} actions: {recent:.1f}", flush=True)
 
 observation = torch.as_tensor(envs.reset(seed=1_000_000)[0])  # unseen starts
-earned = torch.zeros(NUM_ENVS)
-for _ in range(125):
+earned, ended = torch.zeros(NUM_ENVS), torch.zeros(NUM_ENVS, dtype=torch.bool)
+while not ended.all():
     with torch.no_grad():
         action = actor(observation)
-    observation, reward = stepped(action)[:2]
-    earned += reward
+    observation, reward, terminated, truncated, _ = stepped(action)
+    earned += reward * ~ended
+    ended |= terminated | truncated
 interval = 1.96 * earned.std() / NUM_ENVS**0.5
 actions = updates * NUM_ENVS * LENGTH
 print(f"after {actions:,} actions: return {earned.mean():.1f} +- {interval:.1f}")

@@ -3,7 +3,7 @@
 python scripts/studies/speed/gpu.py --prepare FOLDER   # anywhere: the kernel, rows and the CPU's results
 python scripts/studies/speed/gpu.py --on-card FOLDER   # needs numpy, PyTorch and cuda-core alone; some minutes
 python scripts/studies/speed/gpu.py --envs             # environments on a card; needs the whole package there
-python scripts/recipes/with_cleanrl.py --device cuda   # a training that stays on it
+python scripts/recipes/with_cleanrl.py --landing --device cuda   # a training on juggle that stays on it
 """
 
 from __future__ import annotations
