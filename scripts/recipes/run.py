@@ -37,7 +37,7 @@ _GAME = (
 RECIPES = {
     "sb3": Recipe(_script("sb3", "--steps", "16384")),
     "sb3_contrib": Recipe(_script("sb3", "TQC", "--steps", "1200")),
-    "dqn": Recipe(_script("sb3", "DQN", "--task", "spin", "--steps", "4000")),
+    "dqn": Recipe(_script("sb3", "DQN", "--task", "spin", "--steps", "8000")),
     "servo": Recipe(_script("servo", "4000")),
     "cleanrl": Recipe(_script("cleanrl", "--steps", "80000")),
     "pixels": Recipe(_script("pixels", "--steps", "512")),

@@ -24,13 +24,20 @@ OFF_POLICY = {  # for TQC the best of ten trials of Optuna, of three minutes eac
     "tau": 0.02,
     "policy_kwargs": {"net_arch": [128, 128]},
 }
-Q_LEARNING = {"train_freq": 1, "gradient_steps": 2, "target_update_interval": 400}
+Q_LEARNING = {
+    "learning_rate": 1e-3,
+    "batch_size": 256,
+    "train_freq": 1,
+    "tau": 0.04,
+    "target_update_interval": 64,
+    "exploration_initial_eps": 0.1,
+}
 ALGORITHMS: dict[str, Any] = {  # class, network, environments, actions to train for, settings
     "PPO": (PPO, "MlpPolicy", 64, 500_000, ON_POLICY),
     "RecurrentPPO": (RecurrentPPO, "MlpLstmPolicy", 64, 150_000, RECURRENT | MEMORY),
     "SAC": (SAC, "MlpPolicy", 64, 100_000, OFF_POLICY),
     "TQC": (TQC, "MlpPolicy", 64, 100_000, OFF_POLICY),
-    "DQN": (DQN, "MlpPolicy", 16, 300_000, {"learning_rate": 1e-3, **Q_LEARNING}),
+    "DQN": (DQN, "MlpPolicy", 64, 200_000, OFF_POLICY | Q_LEARNING),
 }
 
 
