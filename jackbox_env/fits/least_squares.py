@@ -194,13 +194,12 @@ def minimise(
             if trial is not None:
                 excess = np.bincount(rows.window, trial.residuals**2 - rows.residuals**2, windows)
                 blocking = np.array([excess.argmax()])
-        if last:
-            break
-    # It ended, unless the last step was small because it was shortened, damped or blocked.
-    move, promised, _ = _step_within(rows, windows, _LEAST_DAMPING, unknowns[:count], low, high)
-    away = float(np.linalg.norm(Chain(rows, windows).information() @ move[:count]))
-    ended = (away < _NEAR_THE_END and promised < _NEGLIGIBLE * windows) or _small(move, unknowns)
-    return unknowns, ended, blocking
+        if last:  # the end, unless the step was small because it was shortened or damped, or blocked
+            move, promised, _ = _step_within(rows, windows, _FIRST_DAMPING, unknowns[:count], low, high)
+            away = float(np.linalg.norm(Chain(rows, windows).information() @ move[:count]))
+            ended = (away < _NEAR_THE_END and promised < _NEGLIGIBLE * windows) or _small(move, unknowns)
+            return unknowns, ended, blocking
+    return unknowns, False, blocking
 
 
 def _step_within(

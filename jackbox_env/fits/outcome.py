@@ -56,10 +56,10 @@ def outcome_of(search: Search, ended: bool) -> Fit:
     numbers, parameters, count = search.numbers.copy(), search.parameters, len(search.windows)
     rows = search.rows(Shooting(search.recordings, parameters, search.windows), LINK_SLACKS[-1])
     covariance, unidentified = identified(Chain(rows, count))
-    name, away, furthest = _contradicted(search, rows)
+    name, away = _contradicted(search, rows)
     estimated = (rows.column >= 0) & ~np.isfinite(search.known_noise[rows.column])
     freedom = search.free_share(rows) * estimated.sum() if estimated.any() else 1e9
-    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance)) * max(1.0, furthest / _USUAL)
+    half_widths = stats.t.ppf(0.975, max(freedom, 1.0)) * np.sqrt(np.diag(covariance)) * max(1.0, away / _USUAL)
     half_widths[(abs(unidentified) > 0.05).any(axis=0)] = np.inf
     logarithmic = parameters.logarithmic
     least, most = np.where(logarithmic, -np.inf, 0.0), np.where(logarithmic, np.inf, parameters.high)
@@ -134,12 +134,11 @@ def _judged(search: Search, rows: Rows, held_out: Array) -> Iterator[tuple[bool,
     )
 
 
-def _contradicted(search: Search, rows: Rows) -> tuple[str, float, float]:
+def _contradicted(search: Search, rows: Rows) -> tuple[str, float]:
     """The field or fault that would move furthest if it was fitted, too, and by how many standard deviations.
 
     Each is tried by itself: an inertia alone, but a mass or a length with the inertias that follow it. If few impacts
-    were used, so is the restitution of each, because one that was followed wrongly decides much there: the last number
-    is the furthest of these, too.
+    were used, so is the restitution of each, because one that was followed wrongly decides much there.
     """
     fields, right = search.parameters.fields, search.recordings
     present, slack = search.parameters.scene(search.numbers), search.scaled_slack(LINK_SLACKS[-1])
@@ -158,9 +157,10 @@ def _contradicted(search: Search, rows: Rows) -> tuple[str, float, float]:
     if "restitution" in fields and len(search.windows) <= _FEW:
         by_restitution = rows.jacobian[:, 2 * WIDTH + fields.index("restitution")]
         columns.append(by_restitution[:, None] * (rows.window[:, None] == np.arange(len(search.windows))))
+        names += [f"restitution from row {one.first} to {one.last}" for one in search.windows]
     moves = abs(Chain(rows._replace(jacobian=np.column_stack(columns)), len(search.windows)).moves(rows.fields))
-    named = int(np.argmax(moves[: len(names)]))
-    return names[named], float(moves[named]), float(moves.max())
+    furthest = int(np.argmax(moves))
+    return names[furthest], float(moves[furthest])
 
 
 def _bad_rows(search: Search) -> list[list[str]]:

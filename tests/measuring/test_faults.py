@@ -93,7 +93,7 @@ def test_toys_with_a_fault_do_not_converge_to_wrong_values() -> None:
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_toy_that_rests_most_of_the_time_converges(seed: int) -> None:
     _, start, fields, recording = recorded_by_people(seed, True, (0.04, 0.08), 5.0)
-    assert fit(recording, fields, start).problems == ()  # 0.4 s of 17.7; windows that stand alone confirm nothing
+    assert fit(recording, fields, start).problems == ()  # 0.4 s of 17.7
 
 
 @pytest.mark.parametrize(("seed", "true_start"), [(195, False), (49, True)])
