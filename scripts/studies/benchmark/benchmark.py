@@ -226,7 +226,6 @@ def filled(record: study.Record) -> dict[str, Any]:
         },
         "missing": ", ".join(_missing(record)) or "none",
         "policies": _table(record),
-        "seed": trainings.SEED,
         "resamples": RESAMPLES,
         "tried": len(policies.chirps()),
         "starts": policies.STARTS,
