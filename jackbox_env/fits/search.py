@@ -28,7 +28,7 @@ _PRIOR_START_WIDTH = 0.02  # of the other numbers of a first state, in units of 
 _MOST_SETTLED = 12  # searches with one slack
 _MOST_STEPS = 30  # of a search from near its end; windows that need more block it
 # Steps that are evaluated at most, per second and per step of the recordings, and what a step of a drive counts as.
-# They take one to three times as long as the recordings; half of the fits that converge need a quarter of that time.
+# They take about as long as the recordings; half of the fits that converge need a tenth of that time.
 _MOST_OF_SECOND, _MOST_OF_STEP, _LEAST_SECONDS, _OF_DRIVE = 2.5e4, 320, 4.0, 3
 MOST_SKIPPED = 0.5  # time in which the jack moves unexplained, over the time in windows
 

@@ -29,7 +29,7 @@ Q_LEARNING = {
     "batch_size": 256,
     "train_freq": 1,
     "tau": 0.04,
-    "target_update_interval": 64,
+    "target_update_interval": 64,  # once a step of all environments
     "exploration_initial_eps": 0.1,
 }
 ALGORITHMS: dict[str, Any] = {  # class, network, environments, actions to train for, settings
