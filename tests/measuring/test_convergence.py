@@ -79,6 +79,15 @@ def test_a_search_that_stalls_has_not_ended_and_names_the_window_that_blocks_it(
         lambda x, y: ((x - 1.0, x - 1.0 + 5.0 * (x > 0.5), y), ((1.0, 0.0),) * 2 + ((0.0, 1.0),)), (0, 1, 0)
     )
     assert (jump[1:3], jump[0][0]) == ((False, [1]), pytest.approx(0.5, abs=0.1))
+    first = searched(lambda x, y: ((3.0 * (x - 1.0), y), np.diag([3.0, 1.0])), most=1)[0][0]
+    to_and_fro = searched(  # from the first step on: to 2, and from there to where it was
+        lambda x, y: (
+            ((3.0 * (x - 1.0), y), np.diag([3.0, 1.0]))
+            if x < 0.9
+            else (((x - 2.0, y), np.eye(2)) if x < 1.5 else ((2.0 * (x - first), y), np.diag([2.0, 1.0])))
+        )
+    )
+    assert to_and_fro[0][0] == pytest.approx(1.5, abs=0.1)
     crawl = searched(  # the second wants y = sin(30 x), a valley that winds
         lambda x, y: ((x - 1.0, 1e3 * (y - np.sin(30.0 * x))), ((1.0, 0.0), (-3e4 * np.cos(30.0 * x), 1e3))), (0, 1), 6
     )

@@ -98,7 +98,7 @@ def test_a_toy_that_rests_most_of_the_time_converges(seed: int) -> None:
 
 @pytest.mark.parametrize(("seed", "true_start"), [(195, False), (49, True)])
 def test_a_right_recording_converges_in_spite_of_windows_that_show_little(seed: int, true_start: bool) -> None:
-    """One has rows after a step without a derivative; in the other full steps go to and fro at a kink."""
+    """One has rows after a step without a derivative; in the other a search comes to a kink."""
     scene, start, fields, recording = recorded_by_people(seed, verdict=True)
     fitted = fit(recording, fields, scene if true_start else start)
     assert fitted.problems == ()
