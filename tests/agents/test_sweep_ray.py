@@ -37,7 +37,11 @@ def cluster() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.delenv("PYTHONPATH", raising=False)  # the nodes have what they are sent
-        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        made = Cluster(
+            initialize_head=True,
+            # At Ray's niceness of 15 workers get nearly nothing on a busy machine.
+            head_node_args={"num_cpus": 1, "include_dashboard": False, "_system_config": {"worker_niceness": 0}},
+        )
         made.add_node(num_cpus=1)
     yield made
     made.shutdown()
