@@ -70,11 +70,7 @@ def fit(
             f"recordings must have at least {_LEAST_SEEN} rows in which something was observed, or impacts that were "
             f"heard, got {seen}"
         )
-    return _fitted(Search(list(several), parameters, known))
-
-
-def _fitted(search: Search) -> Fit:
-    """Cut the recordings into windows, then fit all windows together."""
+    search = Search(list(several), parameters, known)
     cut_all(search)
     if not search.windows:
         smooth = ", or the track, which looks smoothed" * looks_smoothed(search.recordings)

@@ -9,6 +9,7 @@ Methods for Discrete Sequential Estimation", chapter 10). Backwards, because a l
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,8 +24,8 @@ Indices = NDArray[np.intp]
 LINK, UNHEARD, FAR = -1, -2, -3
 FARTHEST = 5.0  # standard deviations of a number that is not bad; a worse one adds the logarithm of its square
 WIDTH = 12  # unknowns of a window
-_RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
+_RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
 # Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
 # estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
@@ -57,10 +58,17 @@ class Chain:
     def __init__(self, rows: Rows, windows: int) -> None:
         self.rows, self.windows = rows, windows
         ends = np.searchsorted(rows.window, np.arange(windows + 1))
-        with_residuals = np.column_stack([rows.jacobian, rows.residuals])
-        with_residuals = with_residuals[:, np.r_[WIDTH : 2 * WIDTH, :WIDTH, 2 * WIDTH : with_residuals.shape[1]]]
+        with_residuals = np.column_stack(
+            [
+                rows.jacobian[:, WIDTH : 2 * WIDTH],
+                rows.jacobian[:, :WIDTH],
+                rows.jacobian[:, 2 * WIDTH :],
+                rows.residuals,
+            ]
+        )
         self._blocks = [  # by the next start, the start, the fields, and residuals
-            _triangle(with_residuals[first:last]) for first, last in pairwise(ends)
+            reduce(_joined, np.split(with_residuals[first:last], range(0, last - first, _AT_ONCE)))
+            for first, last in pairwise(ends)
         ]
         seen = rows.column >= 0
         squares = np.zeros((windows, WIDTH))
@@ -126,17 +134,12 @@ def _solve(stack: Array, width: int) -> tuple[Array, Array]:
     rank = int((values > _RANK * values.max(initial=0.0)).sum())
     rotated = left.T @ stack[:, width:]
     by: Array = -((right[:rank].T / values[:rank]) / lengths[:, None]) @ rotated[:rank]
-    return by, _triangle(rotated[rank:])
+    return by, _joined(rotated[rank:], rotated[:0])
 
 
-def _triangle(rows: Array) -> Array:
-    """A matrix of at most as many rows as columns, with the same products of columns."""
-    if len(rows) <= rows.shape[1]:
-        return rows
-    if len(rows) > _AT_ONCE:
-        parts = [_triangle(rows[first : first + _AT_ONCE]) for first in range(0, len(rows), _AT_ONCE)]
-        return _triangle(np.concatenate(parts))
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+def _joined(triangle: Array, rows: Array) -> Array:
+    """A matrix of at most as many rows as columns, with the same products of columns as both together."""
+    return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 
 def minimise(

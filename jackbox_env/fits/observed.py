@@ -139,12 +139,6 @@ class Recording:
         return recording
 
 
-def pushed(recording: Recording, scene: Scene) -> bool:
-    """Whether a torque or a force acted on the box of this scene."""
-    turned = scene.drive is not None if recording.torques is None else bool(recording.torques.any())
-    return turned or (scene.drive is not None and scene.drive.force_bound > 0.0)
-
-
 def state_at_first(recording: Recording) -> Array:
     """A guess of the state in the first row: observed numbers, rates from the next positions, else 0."""
     observed, state = recording.states, np.zeros(12)

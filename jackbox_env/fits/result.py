@@ -30,8 +30,8 @@ class Fit:
         motions: the fitted motion of each recording, shape (H + 1, 12), NaN where it was left out.
         left_out: steps that were left out because the jack is at rest there, or cannot be followed.
         problems: why the intervals are not to be trusted, each in a sentence without a full stop; empty if the search
-            ended and identified a field, the motion does not jump, every window fits within the noise, the residuals
-            are white, and no other value of what is not fitted would fit better.
+            ended and identified a field, every window fits within the noise, the residuals are white, and no other
+            value of what is not fitted would fit better.
         bad_rows: rows with a number that is more than 5 standard deviations off, and is discounted, each in a sentence:
             "row 133: x_jack is 0.05 m off". More than 5 % of a recording are a problem.
         unexplained: time of these steps in which the jack flies, but the scene does not explain how [s].

@@ -58,7 +58,7 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no text, has no such row, or a cell of more than 131,072 characters.
+        ValueError: it has no such row, or a cell of more than 131,072 characters.
     """
     text = _decoded(path)
     for delimiter in DELIMITERS:
@@ -76,7 +76,7 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
                 return headers, [at for at, _ in below], [cells for _, cells in below], delimiter, line
     raise ValueError(
         f"{path}: there must be a row of headers, {named} among them, and rows of numbers below, got "
-        f"{check.shown(text[:60])}; Recording.from_frame accepts what pandas reads"
+        f"{check.shown(text[:60])}; save a spreadsheet as CSV in UTF-8; Recording.from_frame accepts what pandas reads"
     )
 
 
@@ -87,8 +87,6 @@ def _decoded(path: Path) -> str:
         text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    if "\0" in text:
-        raise ValueError(f"{path}: must be a text file in UTF-8 or an npz file; save a spreadsheet as CSV")
     if "indegrees=yes" in text.lower():
         raise ValueError(
             f"{path}: angles are in degrees; give the unit, as in theta_box [deg], and remove inDegrees=yes"

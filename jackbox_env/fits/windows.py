@@ -53,7 +53,6 @@ def _appended(search: Search, chain: list[Window], window: Window) -> bool:
         window.start, window.last = start, window.first + max(min(_LEAST, steps), round(share * steps))
         if search.fit_block(chain[-BLOCK:], free=few):
             return True
-    window.last = window.first + steps
     del chain[-1]
     link(chain)
     return False

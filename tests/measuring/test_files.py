@@ -62,9 +62,9 @@ CASES = [
     Case("old_mac.csv", TORQUES),
     Case("utf16.csv", TORQUES),
     Case("utf16_big_endian.csv", TORQUES),
-    Case("utf16_no_mark.csv", refused="must be a text file in UTF-8 or an npz file; save a spreadsheet as CSV"),
+    Case("utf16_no_mark.csv", refused="; save a spreadsheet as CSV in UTF-8; Recording.from_frame"),
     Case("cp1252.csv", states=ANGLES, notes=(left_out("Größe"),)),
-    Case("sheet.csv", refused="sheet.csv: must be a text file in UTF-8 or an npz file; save a spreadsheet as CSV"),
+    Case("sheet.csv", refused="; save a spreadsheet as CSV in UTF-8; Recording.from_frame"),
     # Delimiters and decimal commas.
     Case("tabs.txt", TORQUES),
     Case("semicolons.csv", TORQUES),
