@@ -108,9 +108,10 @@ class Recording:
         (array([0.01 , 0.012,   nan,   nan]), ('1 of 4 frames is missing, and left open',))
 
         Args:
-            columns: a dict of columns, a DataFrame of pandas or polars, or an array with named fields; NaN or None
-                if something was not observed. Or ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``,
-                or a :class:`jackbox_env.fits.tables.Table`.
+            columns: a dict of columns, a DataFrame of pandas or polars (its levels of headers are joined by spaces), or
+                an array with named fields; NaN or None if something was not observed. Or
+                ``np.load("trajectory.npz")``, of ``jackbox simulate --format npz``, or a
+                :class:`jackbox_env.fits.tables.Table`.
             scene: whose sizes and drive the recording is compared with; None: the scene in the npz file, else the
                 default scene.
             names: headers that stand for other names here, as ``{"x_jack": "ball_x", "time": "t [ms]"}``. Headers

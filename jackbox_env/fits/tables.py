@@ -70,7 +70,13 @@ def table_of(columns: Any, source: str = "") -> Table:
     listed = getattr(getattr(columns, "dtype", None), "names", None) if listed is None else listed
     if listed is None and not isinstance(columns, Mapping):
         raise TypeError(f"columns must be a dict of columns or a DataFrame, got {check.shown(columns)}")
-    return Table([(str(name), columns[name]) for name in (columns if listed is None else listed)], source)
+    return Table(
+        [
+            (" ".join(map(str, name)) if isinstance(name, tuple) else str(name), columns[name])
+            for name in (columns if listed is None else listed)
+        ],
+        source,
+    )
 
 
 def _columns_of(arrays: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -162,7 +168,7 @@ def in_si_units(
     chosen = dict[str, tuple[str, float, bool, Any]]()
     bare = list[str]()
     for name, si in units.items():
-        text = names.get(name, name)
+        text = str(names.get(name, name))
         found = _named(table, numbered, text, name in names)
         if found:
             factor, unit = _factor(table, found[0], text, si)

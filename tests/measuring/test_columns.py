@@ -57,17 +57,17 @@ def test_units_are_converted() -> None:
 
 
 def test_names_may_have_units_and_leave_other_columns_out() -> None:
-    columns = {"t": [0.0, 20.0], "ball [mm]": [5.0, 6.0], "x_box": [1.0, 1.0], "quality": [0.9, 0.8]}
-    recording = Recording.from_frame(columns, STILL, names={"time": "t [ms]", "x_jack": "ball"})
+    columns = {"t": [0.0, 20.0], ("dlc", "ball [mm]"): [5.0, 6.0], "x_box": [1.0, 1.0], "quality": [0.9, 0.8]}
+    recording = Recording.from_frame(columns, STILL, names={"time": "t [ms]", "x_jack": "dlc ball"})
     assert recording.dt == pytest.approx(0.02)
     np.testing.assert_allclose(observed(recording, "x_jack"), [5e-3, 6e-3])
     assert observed(recording, "x_box") == [1.0, 1.0]
     assert recording.notes == ("left out, because no name stands for them: quality",)
-    other = {"time": [0.0, 0.1], "x_jack": [1.0, 1.0], "smooth": [2.0, 2.0]}
-    recording = Recording.from_frame(other, STILL, names={"x_jack": "smooth"})
+    other = {"time": [0.0, 0.1], "x_jack": [1.0, 1.0], 7: [2.0, 2.0]}
+    recording = Recording.from_frame(other, STILL, names={"x_jack": 7})  # type: ignore[dict-item]
     assert observed(recording, "x_jack") == [2.0, 2.0]
     assert recording.notes == (
-        "left out, because no name stands for them: x_jack", "read in SI units, because no unit was found: smooth",
+        "left out, because no name stands for them: x_jack", "read in SI units, because no unit was found: 7",
     )  # fmt: skip
 
 

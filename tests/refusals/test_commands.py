@@ -62,6 +62,11 @@ FITS = [
         {"bad.csv": ""},
     ),
     refused(
+        command(fit.main, "bad.csv", "--columns", "time=t,x_jack=x"),
+        "bad.csv: there must be a row of headers, t among them, ...; save a spreadsheet as CSV in UTF-8; ...",
+        {"bad.csv": "PK\3\4\nt,x\n0,1\n0.1,1\n"},
+    ),
+    refused(
         FITTED,
         "bad.csv, row 1: columns must have one of the 12 numbers of a state; --columns (in Python names=) maps other "
         "headers, got time, x_jac",
@@ -165,7 +170,9 @@ FITS = [
         SIMULATED,
     ),
     refused(fits("--folder", "here"), "folder goes with --html, without which nothing is written", SIMULATED),
-    refused(fits("--columns", "x_jack"), "columns must be like x_jack=ball_x,time=t_ms, got 'x_jack'", SIMULATED),
+    refused(fits("--columns", "x_jack"), "columns must be like x_jack=ball_x,time=t_ms, ..., got 'x_jack'", SIMULATED),
+    refused(fits("--columns", "x_jack=x,x_jack=y"), "columns must be like ..., each once, got ...", SIMULATED),
+    refused(fits("--columns", "x_jack=x,y_jack=x"), "columns must be like ..., each once, got ...", SIMULATED),
     refused(
         fits("--columns", "x_jak=x_jack"),
         "names accepts only 'time', 'x_box', 'y_box', 'theta_box', 'x_jack', 'y_jack', 'theta_jack', 'vx_box', "
