@@ -138,8 +138,8 @@ def column_names(text: str | None) -> dict[str, str]:
     """Headers by the names they stand for, of ``x_jack=ball_x,time=t [ms]``."""
     pairs = [one.partition("=") for one in (text or "").split(",") if one.strip()]
     names = {name.strip(): header.strip() for name, _, header in pairs}
-    if len({*names.values()}) < len(pairs) or not all({*names, *names.values()}):
-        raise ValueError(f"columns must be like x_jack=ball_x,time=t_ms, each once, got {check.shown(text)}")
+    if len(names) < len(pairs) or not all({*names, *names.values()}):
+        raise ValueError(f"columns must be like x_jack=ball_x,time=t_ms, each name once, got {check.shown(text)}")
     return names
 
 

@@ -59,8 +59,7 @@ def fit(
     if not (listed and 0 < len({*map(str, fields)}) == len(fields)):
         raise ValueError(f"fields must be different names, at least one, got {check.shown(fields)}")
     check.known_keys("fields", fields, FIELDS)
-    parameters = Parameters(fields, Scene.of(start))
-    known = known_noise(noise)
+    search = Search(list(several), Parameters(fields, Scene.of(start)), known_noise(noise))
     seen = sum(
         int(np.isfinite(one.states).any(axis=1).sum()) + (0 if one.impacts is None else len(one.impacts))
         for one in several
@@ -70,7 +69,6 @@ def fit(
             f"recordings must have at least {_LEAST_SEEN} rows in which something was observed, or impacts that were "
             f"heard, got {seen}"
         )
-    search = Search(list(several), parameters, known)
     cut_all(search)
     if not search.windows:
         smooth = ", or the track, which looks smoothed" * looks_smoothed(search.recordings)

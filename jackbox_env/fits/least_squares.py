@@ -24,8 +24,8 @@ Indices = NDArray[np.intp]
 LINK, UNHEARD, FAR = -1, -2, -3
 FARTHEST = 5.0  # standard deviations of a number that is not bad; a worse one adds the logarithm of its square
 WIDTH = 12  # unknowns of a window
-_AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _RANK = 1e-9  # of the largest singular value of columns of length 1; less is unidentified, and stays
+_AT_ONCE = 200  # rows of a decomposition, so few that no threads are started, which costs more than they save
 _TOLERANCE = 1e-10  # relative change of the sum of squares, or of the unknowns, at which a search ends
 # Standard deviation of a logarithm beyond which a combination of fields is unidentifiable: what is linear at the
 # estimate is not over the interval, which spans a factor of 7, and values near 0 may fit as well.
@@ -134,7 +134,7 @@ def _solve(stack: Array, width: int) -> tuple[Array, Array]:
     rank = int((values > _RANK * values.max(initial=0.0)).sum())
     rotated = left.T @ stack[:, width:]
     by: Array = -((right[:rank].T / values[:rank]) / lengths[:, None]) @ rotated[:rank]
-    return by, _joined(rotated[rank:], rotated[:0])
+    return by, _joined(rotated[:0], rotated[rank:])
 
 
 def _joined(triangle: Array, rows: Array) -> Array:

@@ -160,6 +160,8 @@ def in_si_units(
     """
     names = names or {}
     check.known_keys("names", names, units)
+    if len({*map(str, names.values())}) < len(names):
+        raise ValueError(f"{table.source}names must be of different headers, got {check.shown(dict(names))}")
     plainly = [parts(header)[0] for header, _ in table.columns]
     numbered = [  # if there are several
         f"{header} #{plainly[: n + 1].count(plainly[n])}" if plainly.count(plainly[n]) > 1 else header

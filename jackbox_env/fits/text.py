@@ -61,7 +61,8 @@ def read_rows(path: Path, named: str) -> tuple[list[str], list[int], list[list[s
         ValueError: it has no such row, or a cell of more than 131,072 characters.
     """
     text = _decoded(path)
-    for delimiter in () if text.startswith("PK\3\4") else DELIMITERS:  # of a spreadsheet, with headers only by chance
+    # In the bytes of a spreadsheet headers stand only by chance.
+    for delimiter in () if text.startswith("PK\3\4") else DELIMITERS:
         rows = _split(path, text, delimiter)
         for index, (line, row) in enumerate(rows):
             row = row[row[0] in ("#", "%") :]

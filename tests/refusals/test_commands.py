@@ -171,8 +171,10 @@ FITS = [
     ),
     refused(fits("--folder", "here"), "folder goes with --html, without which nothing is written", SIMULATED),
     refused(fits("--columns", "x_jack"), "columns must be like x_jack=ball_x,time=t_ms, ..., got 'x_jack'", SIMULATED),
-    refused(fits("--columns", "x_jack=x,x_jack=y"), "columns must be like ..., each once, got ...", SIMULATED),
-    refused(fits("--columns", "x_jack=x,y_jack=x"), "columns must be like ..., each once, got ...", SIMULATED),
+    refused(fits("--columns", "x_jack=x,x_jack=y"), "columns must be like ..., each name once, got ...", SIMULATED),
+    refused(
+        fits("--columns", "x_jack=x,y_jack=x"), "states.csv, names must be of different headers, got ...", SIMULATED
+    ),
     refused(
         fits("--columns", "x_jak=x_jack"),
         "names accepts only 'time', 'x_box', 'y_box', 'theta_box', 'x_jack', 'y_jack', 'theta_jack', 'vx_box', "
